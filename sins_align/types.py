@@ -1,0 +1,193 @@
+"""The values that pass between the layers: samples in, estimates out.
+
+All of them are immutable. Shapes, units and frames are those of the package's page.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class ImuSamples(NamedTuple):
+    """Consecutive IMU samples, in the order in which they arrived.
+
+    stamp_ns : (N,) int64 time of the sample [ns]
+    w_ib_b : (3, N) angular rate [rad/s]
+    f_ib_b : (3, N) specific force [m/s^2]
+
+    What a value stands for (the mean over the interval that ends at the stamp, or the
+    instantaneous value) is a matter of the configuration, `ImuSampling`.
+    """
+
+    stamp_ns: IntArray
+    w_ib_b: Array
+    f_ib_b: Array
+
+    def __len__(self) -> int:  # number of samples, not of fields
+        return int(self.stamp_ns.shape[0])
+
+    def select(self, index: slice | IntArray | NDArray[np.bool_]) -> ImuSamples:
+        """The samples that `index` picks, in its order."""
+        return ImuSamples(self.stamp_ns[index], self.w_ib_b[:, index], self.f_ib_b[:, index])
+
+
+class ImuSampling(enum.Enum):
+    """What the value of an IMU sample stands for."""
+
+    MEAN = "mean"  # mean over the interval that ends at the stamp
+    INSTANTANEOUS = "instantaneous"
+
+
+class State(enum.Enum):
+    """Where the alignment stands; the words are those of the diagnostics."""
+
+    WAITING = "waiting"
+    COARSE = "coarse"
+    FINE = "fine"
+    ALIGNED = "aligned"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Position:
+    """Geodetic position on WGS-84 [rad, rad, m]."""
+
+    latitude: float
+    longitude: float = 0.0
+    altitude: float = 0.0
+
+
+@dataclass(frozen=True)
+class LeverArm:
+    """Lever arm from the swing centre to the IMU.
+
+    r_b : (3,) in b [m]
+    covariance : (3, 3) [m^2]
+    observable : three booleans, one a body axis. False: the motion does not tell, and the
+        value is the prior's.
+    """
+
+    r_b: Array
+    covariance: Array
+    observable: tuple[bool, bool, bool]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An alignment at the time of one sample.
+
+    stamp_ns : time of the last sample used [ns]
+    q_nb : (4,) attitude, Hamilton, scalar first
+    misalignment_covariance : (3, 3) of phi, axes east, north, up [rad^2]
+    gyro_bias, gyro_bias_sigma : (3,) [rad/s]
+    accel_bias, accel_bias_sigma : (3,) [m/s^2]
+    lever_arm : None where the method has none
+    consistency : mean normalised innovation squared over its expected value; 1 is perfect,
+        NaN before there is an innovation
+    """
+
+    stamp_ns: int
+    q_nb: Array
+    misalignment_covariance: Array
+    gyro_bias: Array
+    gyro_bias_sigma: Array
+    accel_bias: Array
+    accel_bias_sigma: Array
+    lever_arm: LeverArm | None = None
+    consistency: float = float("nan")
+
+    @property
+    def sigma(self) -> Array:
+        """(3,) 1-sigma misalignment east, north, up [rad]."""
+        return np.sqrt(np.diag(self.misalignment_covariance))
+
+
+@dataclass(frozen=True)
+class Status:
+    """Where the alignment stands, and why not further.
+
+    reason : why it is not aligned yet, in words; empty when aligned
+    remedy : what the operator can do; empty when nothing needs doing
+    aligned_at_s : time from the first sample to completion [s], None before
+    heading_limit : what the declared gyro and the latitude allow [rad], NaN when unknown
+    """
+
+    state: State
+    reason: str = ""
+    remedy: str = ""
+    elapsed_s: float = 0.0
+    aligned_at_s: float | None = None
+    heading_limit: float = float("nan")
+
+
+@dataclass
+class InputCounts:
+    """What came in and what was refused. A rejected sample changes nothing else.
+
+    imu_samples : accepted
+    imu_gaps : places where samples are missing; imu_lost: how many samples that makes
+    rejected : by reason: not_finite, out_of_range, repeated, backward
+    """
+
+    imu_samples: int = 0
+    imu_gaps: int = 0
+    imu_lost: int = 0
+    imu_reordered: int = 0
+    rejected: dict[str, int] = field(
+        default_factory=lambda: {"not_finite": 0, "out_of_range": 0, "repeated": 0, "backward": 0}
+    )
+    odom_samples: int = 0
+    odom_rejected: int = 0
+    first_stamp_ns: int | None = None
+    last_stamp_ns: int | None = None
+
+    @property
+    def imu_rejected(self) -> int:
+        """Number of samples refused, for whatever reason."""
+        return sum(self.rejected.values())
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last accepted sample [s]."""
+        if self.first_stamp_ns is None or self.last_stamp_ns is None:
+            return 0.0
+        return (self.last_stamp_ns - self.first_stamp_ns) * 1e-9
+
+
+class ImuBlock(NamedTuple):
+    """Samples between two stamps of the processing grid, both ends included.
+
+    stamp_ns : (n+1,) int64. The first one is the last one of the block before.
+    w_ib_b, f_ib_b : (3, n+1). For `ImuSampling.MEAN` column k is the mean over
+        (stamp k-1, stamp k], and column 0 belongs to the block before.
+    """
+
+    stamp_ns: IntArray
+    w_ib_b: Array
+    f_ib_b: Array
+
+
+class Aligner(Protocol):
+    """An estimator: no clock, no log, no topic. The session feeds it whole blocks."""
+
+    def update(self, block: ImuBlock) -> None:
+        """Take in the next block of samples."""
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """At the last stamp of the last block; None before the coarse attitude exists."""
+
+    def propagate(self, block: ImuBlock) -> Estimate | None:
+        """`estimate` carried to the end of `block` by the gyros; changes nothing.
+
+        `block` begins at the last stamp of the last update and may be shorter than a
+        whole one.
+        """
