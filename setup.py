@@ -1,0 +1,55 @@
+"""The package for pip, colcon and bloom alike."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "sins_align"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Initial alignment of strapdown inertial navigation systems",
+    author="The sins_align maintainers",
+    author_email="maintainers@sins-align.example",
+    maintainer="The sins_align maintainers",
+    maintainer_email="maintainers@sins-align.example",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(
+        include=[NAME, f"{NAME}.*", "swing_align_ros", "swing_align_ros.*"],
+    ),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+    ],
+    zip_safe=False,
+    install_requires=["numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0", "tqdm>=4.60"],
+    extras_require={
+        # Bags are read without ROS. rosdep knows none of these, hence an extra.
+        "bag": ["rosbags>=0.10", "mcap>=1.1", "zstandard>=0.20"],
+        "report": ["plotly>=5.20"],
+        # rclpy and the messages, where no ROS is installed on the machine.
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "test": [
+            "hypothesis",
+            "mypy",
+            "pytest",
+            "pytest-cov",
+            "ruff",
+            "types-PyYAML",
+            "types-tqdm",
+        ],
+        "colcon": ["colcon-common-extensions", "setuptools<80"],
+    },
+    entry_points={
+        "console_scripts": [
+            "swing_align = swing_align_ros.node:main",
+            "align_replay = sins_align.ros.replay_command:main",
+            "align_simulate = sins_align.ros.simulate_command:main",
+            "align_synth = sins_align.ros.synth_node:main",
+        ],
+    },
+)
