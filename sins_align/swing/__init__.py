@@ -1,0 +1,13 @@
+"""Self-alignment on a base that swings about a fixed, unknown centre."""
+
+from sins_align.config import SwingConfig
+from sins_align.swing.inertial import InertialAligner
+from sins_align.swing.paper import PaperAligner
+from sins_align.types import Aligner, Position
+
+
+def make_aligner(config: SwingConfig, position: Position) -> Aligner:
+    """The estimator that `config.method` names."""
+    if config.method == "paper":
+        return PaperAligner(config, position)
+    return InertialAligner(config, position)
