@@ -1,0 +1,283 @@
+"""From samples to integrals over windows: attitude, velocity, position and their partials.
+
+All integrals are in the body axes at the first stamp of the block, frozen in inertial
+space. With C(t) the rotation from b(t) to these axes, a window gives
+
+    u = int C f dt        s = int int C f dt dt        B = int C dt        BB = int int C dt dt
+
+Rules are of fourth order in the sampling interval for both kinds of sampling and for
+irregular stamps; they agree with the truth of a swing to the rounding of the stamps.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from sins_align.rotation import (
+    cross,
+    cumulative_rotation,
+    dcm_from_quaternion,
+    quaternion_from_rotation_vector,
+)
+from sins_align.types import Array, ImuBlock, ImuSampling, IntArray
+
+# Stamps closer to a uniform grid than this are treated as uniform.
+_UNIFORM_REL = 1e-6
+_UNIFORM_ABS_S = 2e-9
+# Gauss-Legendre nodes and weights on [0, 1]: exact to degree 5, and (T - t) times a cubic
+# has degree 4.
+_GAUSS_X = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
+_GAUSS_W = np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+class Windows(NamedTuple):
+    """Integrals over consecutive windows of one block.
+
+    duration_s : (W,) lengths
+    u, s : (3, W) [m/s], [m]
+    B, BB : (3, 3, W) [s], [s^2]
+    q_end : (4, W) rotation of b at the end of the window to the axes of the block
+    """
+
+    duration_s: Array
+    u: Array
+    s: Array
+    B: Array
+    BB: Array
+    q_end: Array
+
+
+class _Weights(NamedTuple):
+    """Weights on the nodes of one window.
+
+    single, double : (n+1,) of int g dt and of int int g dt dt = int (T - t) g dt
+    tail : (n,) of int int g dt dt on the increments int g dt of each interval
+    """
+
+    single: Array
+    double: Array
+    tail: Array
+
+
+def _stencil_weights(t: Array) -> tuple[Array, Array, Array]:
+    """Weights of the local cubic through four nodes, for each interval of t (n+1,).
+
+    Returns start (n,) of the stencil, and the weights (n, 4) of int g dt and of
+    int (t_n - t) g dt over the interval.
+    """
+    n = t.shape[0] - 1
+    start = np.clip(np.arange(n) - 1, 0, max(n - 3, 0))
+    size = min(4, n + 1)
+    nodes = t[start[:, None] + np.arange(size)]
+    dt = np.diff(t)
+    x = t[:-1, None] + dt[:, None] * _GAUSS_X
+    basis = np.ones((n, 3, size))
+    for j in range(size):
+        for m in range(size):
+            if m != j:
+                basis[:, :, j] *= (x - nodes[:, m, None]) / (nodes[:, j] - nodes[:, m])[:, None]
+    weights = dt[:, None] * _GAUSS_W
+    single = np.einsum("ng,ngj->nj", weights, basis)
+    double = np.einsum("ng,ngj->nj", weights * (t[-1] - x), basis)
+    return start, single, double
+
+
+def _node_weights(t: Array) -> _Weights:
+    start, single, double = _stencil_weights(t)
+    columns = start[:, None] + np.arange(single.shape[1])
+    w1, w2 = np.zeros(t.shape[0]), np.zeros(t.shape[0])
+    np.add.at(w1, columns, single)
+    np.add.at(w2, columns, double)
+    # With I_k = sum of the increments up to node k, int I dt = sum_k w1_k I_k.
+    return _Weights(w1, w2, np.cumsum(w1[::-1])[::-1][1:].copy())
+
+
+@lru_cache(maxsize=64)
+def _uniform_weights(n: int) -> _Weights:
+    return _node_weights(np.arange(n + 1.0))
+
+
+@lru_cache(maxsize=64)
+def _uniform_stencils(n: int) -> Array:
+    return _stencil_weights(np.arange(n + 1.0))[1]
+
+
+def window_weights(t: Array, uniform_step: float | None) -> _Weights:
+    """Weights on the nodes t (n+1,) [s]; `uniform_step` [s] where they are equidistant."""
+    if uniform_step is None:
+        return _node_weights(t)
+    unit = _uniform_weights(t.shape[0] - 1)
+    h = uniform_step
+    return _Weights(unit.single * h, unit.double * (h * h), unit.tail * h)
+
+
+def uniform_step(t: Array) -> float | None:
+    """The common step of t (n+1,) [s], None where the stamps are irregular."""
+    n = t.shape[0] - 1
+    step = float(t[-1] - t[0]) / n
+    deviation = np.abs(np.diff(t) - step).max()
+    return step if deviation <= _UNIFORM_REL * step + _UNIFORM_ABS_S else None
+
+
+def fill_gaps(block: ImuBlock) -> ImuBlock:
+    """The block with lost samples put in, by cubic interpolation of their neighbours.
+
+    A step that is k nominal intervals long gets k - 1 samples. For interval means the
+    running mean is interpolated, which is what a lost sample would have carried.
+    """
+    steps = np.diff(block.stamp_ns)
+    nominal = float(np.median(steps))
+    missing = np.rint(steps / nominal).astype(np.int64) - 1
+    if missing.max() <= 0:
+        return block
+    after = np.repeat(np.arange(steps.shape[0]), missing.clip(min=0))
+    place = np.concatenate([np.arange(1, m + 1) for m in missing[missing > 0]])
+    share = place / (missing[after] + 1.0)
+    stamps = block.stamp_ns[after] + np.rint(share * steps[after]).astype(np.int64)
+    w, f = (_interpolate(block.stamp_ns, v, after, stamps) for v in block[1:])
+    return ImuBlock(
+        np.insert(block.stamp_ns, after + 1, stamps),
+        np.insert(block.w_ib_b, after + 1, w, axis=1),
+        np.insert(block.f_ib_b, after + 1, f, axis=1),
+    )
+
+
+def _interpolate(stamp_ns: IntArray, values: Array, after: IntArray, wanted: IntArray) -> Array:
+    """Local Lagrange interpolation through up to four samples around `wanted`."""
+    size = min(4, stamp_ns.shape[0])
+    start = np.clip(after - 1, 0, stamp_ns.shape[0] - size)
+    index = start[:, None] + np.arange(size)
+    t = (stamp_ns[index] - wanted[:, None]) * 1e-9
+    weights = np.ones(t.shape)
+    for j in range(size):
+        for m in range(size):
+            if m != j:
+                weights[:, j] *= t[:, m] / (t[:, m] - t[:, j])
+    return np.einsum("anj,nj->an", values[:, index], weights)
+
+
+def rotation_increments(t: Array, w: Array, sampling: ImuSampling, step: float | None) -> Array:
+    """Rotation vectors of the intervals of t: (3, n) [rad], with coning correction.
+
+    phi = int w dt + dt^3/12 w x dw/dt + O(dt^5)         (Bortz, to second order)
+
+    Parameters
+    ----------
+    t : (n+1,) [s]
+    w : (3, n+1) angular rate [rad/s]; for interval means column 0 is not used
+    step : uniform step [s], None where the stamps are irregular
+    """
+    dt = np.diff(t) if step is None else step
+    if sampling is ImuSampling.MEAN:
+        mean = w[:, 1:]
+        return mean * dt + cross(mean, _slope(t, mean, step)) * (dt * dt * dt / 12.0)
+    theta = _integrate_intervals(t, w, step)
+    theta += cross(w[:, :-1], w[:, 1:]) * (dt * dt / 12.0)
+    return theta
+
+
+def _integrate_intervals(t: Array, w: Array, step: float | None) -> Array:
+    n = w.shape[1] - 1
+    weights = _stencil_weights(t)[1] if step is None else _uniform_stencils(n) * step
+    if n < 3:
+        return np.einsum("an,in->ai", w, weights)
+    theta = np.empty((3, n))
+    theta[:, 0] = w[:, :4] @ weights[0]
+    theta[:, -1] = w[:, -4:] @ weights[-1]
+    inner = weights[1:-1]
+    if step is None:
+        theta[:, 1:-1] = sum(w[:, j : n - 2 + j] * inner[:, j] for j in range(4))
+    else:
+        outer_weight, inner_weight = (step * -1.0 / 24.0, step * 13.0 / 24.0)
+        theta[:, 1:-1] = outer_weight * (w[:, :-3] + w[:, 3:])
+        theta[:, 1:-1] += inner_weight * (w[:, 1:-2] + w[:, 2:-1])
+    return theta
+
+
+def _slope(t: Array, mean: Array, step: float | None) -> Array:
+    """Time derivative at the middle of the intervals from interval means: (3, n)."""
+    if mean.shape[1] < 2:
+        return np.zeros_like(mean)
+    slope = np.empty_like(mean)
+    if step is None:
+        middle = 0.5 * (t[1:] + t[:-1])
+        slope[:, 1:-1] = (mean[:, 2:] - mean[:, :-2]) / (middle[2:] - middle[:-2])
+        first, last = middle[1] - middle[0], middle[-1] - middle[-2]
+    else:
+        slope[:, 1:-1] = (mean[:, 2:] - mean[:, :-2]) * (0.5 / step)
+        first = last = step
+    slope[:, 0] = (mean[:, 1] - mean[:, 0]) / first
+    slope[:, -1] = (mean[:, -1] - mean[:, -2]) / last
+    return slope
+
+
+def velocity_increments(
+    t: Array, w: Array, f: Array, theta: Array, step: float | None
+) -> Array:
+    """int C f dt of the intervals from interval means, in b at their start: (3, n) [m/s].
+
+    dv + 1/2 th x dv + 1/6 th x (th x dv) + dt^3/12 (w x df/dt + f x dw/dt)
+                                         (Savage, rotation and sculling compensation)
+    """
+    dt = np.diff(t) if step is None else step
+    mean_w, mean_f = w[:, 1:], f[:, 1:]
+    dv = mean_f * dt
+    turned = cross(theta, dv)
+    sculling = cross(mean_w, _slope(t, mean_f, step)) + cross(mean_f, _slope(t, mean_w, step))
+    return dv + 0.5 * turned + cross(theta, turned) / 6.0 + sculling * (dt * dt * dt / 12.0)
+
+
+def _rotate(C: Array, v: Array) -> Array:
+    """C v column by column: (3, 3, N), (3, N)."""
+    return C[:, 0] * v[0] + C[:, 1] * v[1] + C[:, 2] * v[2]
+
+
+def integrate_rotation(block: ImuBlock, sampling: ImuSampling) -> Array:
+    """Rotation of b at the last stamp to b at the first: (4,) quaternion."""
+    block = fill_gaps(block)
+    t = (block.stamp_ns - block.stamp_ns[0]) * 1e-9
+    theta = rotation_increments(t, block.w_ib_b, sampling, uniform_step(t))
+    return cumulative_rotation(quaternion_from_rotation_vector(theta))[:, -1]
+
+
+def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Windows:
+    """The integrals over `count` windows of about equal length.
+
+    Parameters
+    ----------
+    block : samples of which the first and the last stamp are the ends of the windows
+    count : number of windows; fewer where there are not three intervals for each
+    """
+    block = fill_gaps(block)
+    t = (block.stamp_ns - block.stamp_ns[0]) * 1e-9
+    n = t.shape[0] - 1
+    step = uniform_step(t)
+    count = max(1, min(count, n // 3))
+    edges = np.searchsorted(t, np.arange(1, count) * (t[-1] / count) - 0.25 * t[-1] / n)
+    edges = np.concatenate(([0], edges, [n]))
+    theta = rotation_increments(t, block.w_ib_b, sampling, step)
+    q = cumulative_rotation(quaternion_from_rotation_vector(theta))
+    C = dcm_from_quaternion(q)
+    if sampling is ImuSampling.MEAN:
+        g = velocity_increments(t, block.w_ib_b, block.f_ib_b, theta, step)
+        g = _rotate(C[:, :, :-1], g)
+    else:
+        g = _rotate(C, block.f_ib_b)
+    out = Windows(
+        np.diff(t[edges]), np.empty((3, count)), np.empty((3, count)),
+        np.empty((3, 3, count)), np.empty((3, 3, count)), q[:, edges[1:]],
+    )
+    for k in range(count):
+        a, b = edges[k], edges[k + 1]
+        weights = window_weights(t[a : b + 1], step)
+        nodes = C[:, :, a : b + 1]
+        out.B[:, :, k], out.BB[:, :, k] = nodes @ weights.single, nodes @ weights.double
+        if sampling is ImuSampling.MEAN:
+            out.u[:, k], out.s[:, k] = g[:, a:b].sum(axis=1), g[:, a:b] @ weights.tail
+        else:
+            out.u[:, k] = g[:, a : b + 1] @ weights.single
+            out.s[:, k] = g[:, a : b + 1] @ weights.double
+    return out
