@@ -16,6 +16,7 @@ setup(
     maintainer_email="maintainers@sins-align.example",
     license="Apache-2.0",
     python_requires=">=3.10",
+    package_dir={"": "."},  # said in so many words, an editable install is one plain .pth line
     packages=find_packages(
         include=[NAME, f"{NAME}.*", "swing_align_ros", "swing_align_ros.*"],
     ),
