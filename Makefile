@@ -33,7 +33,7 @@ $(STAMP): constraints.txt setup.py setup.cfg
 			version=$$("$$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) \
 				|| continue; \
 			case $$version in 3.10|3.11|3.12|3.13) ;; *) continue ;; esac; \
-			if "$$python" -c 'import ensurepip, venv' 2>/dev/null; then found=$$python; break; fi; \
+			if "$$python" -c 'import ensurepip, venv; ensurepip.version()' 2>/dev/null; then found=$$python; break; fi; \
 			lacking="$${lacking:-$$version}"; \
 		done; \
 		if [ -n "$$found" ]; then \
