@@ -1,0 +1,310 @@
+"""Bags: open, find the topics, read the samples of an IMU in the order of recording.
+
+    with open_bag([path]) as bag:
+        imu = bag.find_topic("imu")
+        for samples in bag.read_imu(imu.name):
+            ...
+        print(bag.report, bag.warnings)
+
+A bag is a rosbag2 folder, a bare MCAP or sqlite3 file, or a ROS 1 bag, compressed or not.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, overload
+
+import numpy as np
+
+from sins_align.ros.bags_merge import (
+    BagError,
+    Source,
+    Topic,
+    Unit,
+    Warnings,
+    ZstdMessages,
+    merge,
+)
+from sins_align.ros.bags_open import open_path
+from sins_align.ros.bags_types import typestore_for
+from sins_align.ros.cdr import IMU_ROW, Decoder, ImuDecoder, RawDecoder, Rows
+from sins_align.types import ImuSamples, Position
+
+__all__ = ["KINDS", "Bag", "BagError", "ReadReport", "Topic", "open_bag"]
+
+KINDS = {
+    "imu": ("sensor_msgs/msg/Imu",),
+    "fix": ("sensor_msgs/msg/NavSatFix",),
+    "odom": (
+        "geometry_msgs/msg/TwistStamped",
+        "geometry_msgs/msg/TwistWithCovarianceStamped",
+        "nav_msgs/msg/Odometry",
+    ),
+}
+"""The kinds of topics that `Bag.find_topic` knows, with their message types."""
+
+_NS = 1_000_000_000
+_PORTION = 50_000  # samples handed out at a time
+_BEYOND_NS = 10 * _NS  # messages are never this late: reading may stop
+
+
+@dataclass
+class ReadReport:
+    """What `Bag.read_imu` has read so far.
+
+    messages : number of samples handed out
+    lost : number of messages known to be missing or undecodable where the bag is damaged
+    first_stamp_ns, last_stamp_ns : header stamps of the first and the last of them [ns]
+    frame_ids : those in the headers
+    read_s : wall time spent on reading [s]
+    """
+
+    topic: str = ""
+    messages: int = 0
+    lost: int = 0
+    first_stamp_ns: int | None = None
+    last_stamp_ns: int | None = None
+    frame_ids: set[str] = field(default_factory=set)
+    read_s: float = 0.0
+
+
+class Bag:
+    """Several recordings read as one; made by `open_bag`, closed by leaving its context.
+
+    topics : those of all recordings, by name
+    warnings : what was wrong and did not prevent reading; it grows while the bag is read
+    report : on the last `read_imu`
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self.warnings = Warnings()
+        self.report = ReadReport()
+        self.topics: dict[str, Topic] = {}
+        self._where = ", ".join(map(str, paths))
+        self._stack = ExitStack()
+        self._sources: list[tuple[Source, bool]] = []  # and whether its messages are compressed
+        with ExitStack() as stack:  # closes what was opened when a later path fails
+            for path in paths:
+                for source, compressed in open_path(path, self.warnings, stack):
+                    self._sources.append((source, compressed))
+                    for topic in source.topics:
+                        self._add_topic(source.path, topic)
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Bag:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def _add_topic(self, path: Path, topic: Topic) -> None:
+        known = self.topics.setdefault(topic.name, topic)
+        if (known.type, known.ros1) != (topic.type, topic.ros1):
+            raise BagError(
+                path, f"{topic.name} is {topic.type}, in another file of this bag {known.type}"
+            )
+
+    @overload
+    def find_topic(
+        self, kind: str, requested: str | None = None, *, optional: Literal[False] = False
+    ) -> Topic: ...
+
+    @overload
+    def find_topic(
+        self, kind: str, requested: str | None = None, *, optional: bool
+    ) -> Topic | None: ...
+
+    def find_topic(
+        self, kind: str, requested: str | None = None, *, optional: bool = False
+    ) -> Topic | None:
+        """The topic of a kind: the requested one, else the only one.
+
+        Parameters
+        ----------
+        kind : a key of `KINDS`, or a message type
+        requested : name of the topic, with or without the leading slash
+        optional : None instead of an error where there is no such topic or, with a warning,
+            more than one; a requested one must be there in any case
+
+        Raises
+        ------
+        BagError : none or several, or the requested one is missing or of another type
+        """
+        types = KINDS.get(kind, (kind,))
+        what = " or ".join(name.replace("/msg/", "/") for name in types)
+        candidates = [topic for topic in self.topics.values() if topic.type in types]
+        if requested:
+            for topic in candidates:
+                if topic.name.lstrip("/") == requested.lstrip("/"):
+                    return topic
+            raise BagError(self._where, f"no {what} on {requested}; {self._describe_topics()}")
+        if len(candidates) == 1:
+            return candidates[0]
+        if candidates:
+            names = ", ".join(sorted(topic.name for topic in candidates))
+            problem = f"several topics of {what}, name one of them: {names}"
+            if not optional:
+                raise BagError(self._where, problem)
+            self.warnings.note(self._where, problem)
+        elif not optional:
+            raise BagError(self._where, f"no topic of {what}; {self._describe_topics()}")
+        return None
+
+    def _describe_topics(self) -> str:
+        names = sorted(
+            f"{topic.name} ({topic.type.replace('/msg/', '/')})" for topic in self.topics.values()
+        )
+        return f"there is {', '.join(names)}" if names else "there are no topics at all"
+
+    def read_imu(
+        self,
+        topic: str,
+        *,
+        start_s: float = 0.0,
+        duration_s: float | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> Iterator[ImuSamples]:
+        """Samples in the order of recording, some 50,000 at a time; `report` tells what came.
+
+        Parameters
+        ----------
+        topic : name of a topic of sensor_msgs/Imu
+        start_s, duration_s : the part to read [s], by header stamp, from the first one on;
+            None: to the end
+        progress : called now and then with the part of the recording that was read, 0 to 1
+
+        Raises
+        ------
+        BagError : no message at all, or none in that part
+        """
+        decoder = ImuDecoder(ros1=self._topic(topic).ros1)
+        report = self.report = ReadReport(topic, frame_ids=decoder.frame_ids)
+        portion: list[Rows] = []
+        rows = self._select(self._rows(topic, decoder, progress), start_s, duration_s)
+        begin = time.perf_counter()
+        for part in rows:
+            portion.append(part)
+            if sum(map(len, portion)) >= _PORTION:
+                samples = _hand_out(portion, report)
+                report.read_s += time.perf_counter() - begin
+                yield samples
+                begin = time.perf_counter()
+                portion = []
+        report.lost = decoder.lost
+        report.read_s += time.perf_counter() - begin
+        if portion:
+            yield _hand_out(portion, report)
+        if decoder.lost:
+            self.warnings.note(topic, f"{decoder.lost} damaged messages left out")
+        if not report.messages:
+            part_of_it = " in the part asked for" if start_s or duration_s is not None else ""
+            raise BagError(self._where, f"no messages on {topic}{part_of_it}")
+
+    def _select(
+        self, batches: Iterator[Rows], start_s: float, duration_s: float | None
+    ) -> Iterator[Rows]:
+        """The rows with stamps in [start, start + duration) from the first one on."""
+        whole = start_s <= 0.0 and duration_s is None
+        first: int | None = None
+        for rows in batches:
+            if whole:
+                yield rows
+                continue
+            stamp = rows["stamp_ns"]
+            if first is None:
+                first = int(stamp[0])
+            begin = first + round(start_s * _NS)
+            inside = stamp >= begin
+            if duration_s is not None:
+                end = begin + round(duration_s * _NS)
+                inside &= stamp < end
+                if (stamp > end + _BEYOND_NS).all():
+                    return
+            if inside.any():
+                yield rows[inside]
+
+    def read_messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Log time [ns] and message, deserialised, for topics of any type.
+
+        Raises BagError where the type is unknown; a damaged message is left out, with a
+        warning.
+        """
+        from rosbags.serde import SerdeError
+
+        of = self._topic(topic)
+        store = typestore_for(of)
+        deserialize = store.deserialize_ros1 if of.ros1 else store.deserialize_cdr
+        if of.type not in store.fielddefs:
+            raise BagError(self._where, f"{topic}: the bag does not define {of.type}")
+        for rows in self._rows(topic, RawDecoder(), None):
+            for log_time, payload in rows.tolist():
+                try:
+                    message = deserialize(payload, of.type)
+                except SerdeError as error:
+                    self.warnings.note(topic, f"a message was left out, {error}")
+                    continue
+                yield log_time, message
+
+    def read_fix(self, topic: str) -> Position | None:
+        """Position of the first sensor_msgs/NavSatFix that has one, None if none has."""
+        for _, fix in self.read_messages(topic):
+            values = (fix.latitude, fix.longitude, fix.altitude)
+            on_earth = abs(fix.latitude) <= 90.0 and abs(fix.longitude) <= 180.0
+            if fix.status.status >= 0 and on_earth and np.isfinite(values).all():
+                latitude, longitude = np.radians(values[:2]).tolist()
+                return Position(latitude, longitude, fix.altitude)
+        return None
+
+    def _topic(self, name: str) -> Topic:
+        if name not in self.topics:
+            raise BagError(self._where, f"no topic {name}; {self._describe_topics()}")
+        return self.topics[name]
+
+    def _rows(
+        self, topic: str, decoder: Decoder, progress: Callable[[float], None] | None
+    ) -> Iterator[Rows]:
+        """Rows of all sources in the order of log time."""
+        units: list[Unit] = []
+        for source, compressed in self._sources:
+            units += source.units(topic, ZstdMessages(decoder) if compressed else decoder)
+        begin = min((source.start for source, _ in self._sources if source.start), default=0)
+        end = max((source.end for source, _ in self._sources), default=0)
+        for rows in merge(units):
+            if progress and end > begin:
+                done = (int(rows["log_time"][-1]) - begin) / (end - begin)
+                progress(min(max(done, 0.0), 1.0))
+            yield rows
+
+
+def open_bag(paths: Sequence[Path]) -> Bag:
+    """Open recordings, to be read as one in the order of time.
+
+    Raises BagError, whose one line says what is wrong with which path.
+    """
+    if not paths:
+        raise BagError("bag", "no path given")
+    return Bag([Path(path) for path in paths])
+
+
+def _hand_out(portion: list[Rows], report: ReadReport) -> ImuSamples:
+    rows = np.concatenate(portion) if portion else np.empty(0, IMU_ROW)
+    stamp_ns = np.ascontiguousarray(rows["stamp_ns"])
+    if report.first_stamp_ns is None:
+        report.first_stamp_ns = int(stamp_ns[0])
+    report.last_stamp_ns = int(stamp_ns[-1])
+    report.messages += len(stamp_ns)
+    return ImuSamples(
+        stamp_ns,
+        np.ascontiguousarray(rows["w_ib_b"].T),
+        np.ascontiguousarray(rows["f_ib_b"].T),
+    )
