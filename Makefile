@@ -20,6 +20,7 @@ EXTRAS := bag,colcon,report,ros,test
 # Small matrices: threads cost more than they bring.
 export OPENBLAS_NUM_THREADS := 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DELETE_ON_ERROR:
 .PHONY: venv demo test colcon bench evidence clean distclean
