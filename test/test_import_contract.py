@@ -173,7 +173,7 @@ blocked = set(blocked)
 class Blocker(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
         top = name.partition(".")[0]
-        if top in blocked or top.startswith("rosidl") or top.endswith("_msgs"):
+        if top in blocked or top.startswith("rosidl") or top.endswith(("_msgs", "_interfaces")):
             raise ModuleNotFoundError(f"{name} is blocked", name=name)
         return None
 
