@@ -1,0 +1,132 @@
+"""Lever arm by least squares, with the level misalignment or without: section 3."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sins_align.rotation import skew
+from sins_align.types import Array, LeverArm
+
+# A specific force below this is lost in what the model leaves out: floor of the noise that
+# weighs the prior against the data [m/s^2].
+_FORCE_FLOOR = 1e-4
+# An axis counts as observable where its excitation is so many times what gyro noise feigns.
+_EXCITATION = 5.0
+# What holds an unobservable axis at its prior [m].
+_FROZEN_SIGMA = 1e-6
+
+
+def lever_matrix(w_ib_b: Array, dw_ib_b: Array) -> Array:
+    """H1 = [w x]^2 + [dw x], eq. (9): (3, N), (3, N) -> (N, 3, 3) [1/s^2]."""
+    cross = skew(w_ib_b.T)
+    return cross @ cross + skew(dw_ib_b.T)
+
+
+def level_matrix(C_nb: Array, gravity: float) -> Array:
+    """H2 = g [-c_2, c_1], c_i column i of C_bn: (3, 3, N) -> (N, 3, 2) [m/s^2].
+
+    For the level misalignment psi (east, north) of C_nb_estimated = Exp([psi x]) C_nb_true:
+    the paper's phi, minus that of the package's page. The paper prints elements of C_nb;
+    eq. (13) wants those of C_bn.
+    """
+    return gravity * np.stack((-C_nb[1], C_nb[0]), axis=-1).transpose(1, 0, 2)
+
+
+class LeverSolution(NamedTuple):
+    """What the least squares say.
+
+    lever_arm : with its covariance
+    level : (2,) psi east and north [rad]; zeros without the misalignment columns
+    """
+
+    lever_arm: LeverArm
+    level: Array
+
+
+class LeverRegression:
+    """Accumulated least squares y = H1 r + H2 psi, eqs. (12) and (14).
+
+    It is the information form of the recursion (11). The prior of the lever arm takes the
+    place of the paper's P0 = 1e8 I, which for its accelerometers is one of 2 km.
+
+    Parameters
+    ----------
+    gravity : [m/s^2]
+    misaligned : with the columns H2 ('epls') or without ('ls')
+    prior, prior_sigma : (3,) lever arm and its 1 sigma per axis [m]
+    force_noise, slope_noise : 1 sigma of one sample of specific force [m/s^2] and of
+        angular acceleration [rad/s^2]
+    """
+
+    def __init__(
+        self,
+        gravity: float,
+        misaligned: bool,
+        prior: Array,
+        prior_sigma: float,
+        force_noise: float,
+        slope_noise: float,
+    ) -> None:
+        self._gravity = gravity
+        self._misaligned = misaligned
+        self._prior = prior
+        self._prior_sigma = prior_sigma
+        self._force_noise = max(force_noise, _FORCE_FLOOR)
+        self._slope_noise = slope_noise
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all data."""
+        size = 5 if self._misaligned else 3
+        self._matrix = np.zeros((size, size))
+        self._vector = np.zeros(size)
+        self._square = 0.0
+        self._count = 0
+
+    def add(self, C_nb: Array, w_ib_b: Array, dw_ib_b: Array, f_ib_b: Array) -> None:
+        """Take in N samples: C_nb (3, 3, N) estimated, the others (3, N)."""
+        H = lever_matrix(w_ib_b, dw_ib_b)
+        if self._misaligned:
+            H = np.concatenate((H, level_matrix(C_nb, self._gravity)), axis=2)
+        # C_bn g_n with g_n = (0, 0, -g). The prior's part is taken off, so that it stands at 0.
+        y = (f_ib_b - self._gravity * C_nb[2]).T - H[:, :, :3] @ self._prior
+        H = H.reshape(-1, H.shape[2])
+        self._matrix += H.T @ H
+        self._vector += H.T @ y.ravel()
+        self._square += float(np.sum(y * y))
+        self._count += y.shape[0]
+
+    def _observable(self) -> Array:
+        """(3,) which axes the motion tells about, the other unknowns being free."""
+        if self._count == 0:
+            return np.zeros(3, dtype=bool)
+        held = self._matrix + np.diag(np.full(self._vector.size, 1e-12 * self._count))
+        excitation = 1.0 / (np.diag(np.linalg.inv(held))[:3] * self._count)
+        # Noise of dw alone makes every diagonal element of [dw x]^T [dw x] twice its square.
+        floor = 2.0 * self._slope_noise**2 + 2e-12
+        return np.asarray(excitation > _EXCITATION**2 * floor)
+
+    def solve(self) -> LeverSolution:
+        """Lever arm and level misalignment; without data, the prior and zeros.
+
+        The covariance is scaled by the residuals and covers neither the lag of the observer
+        nor noise in the regressors.
+        """
+        observable = self._observable()
+        prior_sigma = max(self._prior_sigma, _FROZEN_SIGMA)
+        held = np.where(observable, prior_sigma, _FROZEN_SIGMA)
+        matrix = self._matrix.copy()
+        matrix[[0, 1, 2], [0, 1, 2]] += (self._force_noise / held) ** 2
+        if self._misaligned:
+            matrix[[3, 4], [3, 4]] += self._force_noise**2  # 1 rad
+        solution = np.linalg.solve(matrix, self._vector)
+        freedom = max(3 * self._count - solution.size, 1)
+        residual = (self._square - solution @ self._vector) / freedom
+        variance = max(float(residual), self._force_noise**2)
+        covariance = variance * np.linalg.inv(matrix)[:3, :3]
+        covariance[~observable, ~observable] = self._prior_sigma**2
+        x, y, z = (bool(axis) for axis in observable)
+        lever = LeverArm(self._prior + solution[:3], covariance, (x, y, z))
+        return LeverSolution(lever, solution[3:] if self._misaligned else np.zeros(2))
