@@ -1,0 +1,1 @@
+"""Long Monte Carlo runs: every figure of the README is re-made here."""

@@ -1,0 +1,68 @@
+"""The stored increments of an alignment, one epoch a row, in b0 axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sins_align.increments import Windows
+from sins_align.rotation import dcm_from_quaternion, multiply_quaternions
+from sins_align.types import Array
+
+
+class Epochs:
+    """Epoch k runs from node k to node k + 1; node 0 is the first sample.
+
+    duration_s : (K,); time_s : (K+1,) of the nodes from the first sample on
+    C : (K+1, 3, 3) rotation b -> b0 at the nodes, by the raw gyros alone
+    u, s : (K, 3) int C f, int int C f over the epoch [m/s], [m]
+    B, BB : (K, 3, 3) int C, int int C over the epoch [s], [s^2]
+    """
+
+    def __init__(self) -> None:
+        self._size = 0
+        self._q = np.array([1.0, 0.0, 0.0, 0.0])
+        self._arrays: dict[str, Array] = {
+            "duration_s": np.empty(64),
+            "time_s": np.zeros(65),
+            "C": np.broadcast_to(np.eye(3), (65, 3, 3)).copy(),
+            "u": np.empty((64, 3)),
+            "s": np.empty((64, 3)),
+            "B": np.empty((64, 3, 3)),
+            "BB": np.empty((64, 3, 3)),
+        }
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getattr__(self, name: str) -> Array:
+        if name.startswith("_") or name not in self._arrays:
+            raise AttributeError(name)
+        nodes = name in ("time_s", "C")
+        return self._arrays[name][: self._size + nodes]
+
+    @property
+    def q(self) -> Array:
+        """(4,) rotation b -> b0 at the last node."""
+        return self._q
+
+    def append(self, windows: Windows) -> None:
+        """Add the windows of a block that begins at the last node."""
+        count = windows.duration_s.shape[0]
+        while self._size + count >= self._arrays["u"].shape[0]:
+            self._arrays = {
+                name: np.concatenate((a, np.empty_like(a))) for name, a in self._arrays.items()
+            }
+        old, new = self._size, self._size + count
+        a = self._arrays
+        C0 = dcm_from_quaternion(self._q)
+        a["duration_s"][old:new] = windows.duration_s
+        a["time_s"][old + 1 : new + 1] = a["time_s"][old] + np.cumsum(windows.duration_s)
+        a["u"][old:new] = (C0 @ windows.u).T
+        a["s"][old:new] = (C0 @ windows.s).T
+        a["B"][old:new] = C0 @ windows.B.transpose(2, 0, 1)
+        a["BB"][old:new] = C0 @ windows.BB.transpose(2, 0, 1)
+        q = multiply_quaternions(self._q[:, None], windows.q_end)
+        q /= np.sqrt((q * q).sum(axis=0))
+        a["C"][old + 1 : new + 1] = dcm_from_quaternion(q).transpose(2, 0, 1)
+        self._q = q[:, -1].copy()
+        self._size = new

@@ -1,0 +1,270 @@
+"""Alignment on a swinging base in inertial axes: from any attitude, no coarse alignment.
+
+The two-stage filter (`two_stage`) turns the stored increments into sums, `solution` the sums
+into attitude, lever arm and biases. This module decides when which of them runs:
+
+- every cycle (1 s at first, up to 5 s) the filter takes in the new epochs and the sums are
+  solved, from the last solution on;
+- at the refresh times it runs over all stored increments again (backtracking), linearised
+  about the solution found so far, until the attitude stays within 1 % of its sigma, but
+  `passes` times at most.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sins_align.config import SwingConfig
+from sins_align.earth import EARTH_RATE, earth_rate_n, normal_gravity
+from sins_align.increments import integrate_rotation, integrate_windows
+from sins_align.rotation import (
+    dcm_from_quaternion,
+    exp_rotation,
+    log_rotation,
+    multiply_quaternions,
+    quaternion_from_dcm,
+)
+from sins_align.swing.epochs import Epochs
+from sins_align.swing.excitation import LeverExcitation
+from sins_align.swing.solution import (
+    KAPPA,
+    SIZE,
+    X_BA,
+    X_BG,
+    X_R,
+    Prior,
+    Solution,
+    Solver,
+    make_prior,
+    start_attitude,
+)
+from sins_align.swing.two_stage import (
+    DATA,
+    DRIFT,
+    PHI,
+    THETA,
+    GravityModel,
+    Linearisation,
+    NoiseModel,
+    TwoStageFilter,
+    build_steps,
+)
+from sins_align.types import Array, Estimate, ImuBlock, LeverArm, Position
+
+EPOCHS_PER_BLOCK = 2
+# Times at which the stored increments are run over again [s]; then every three times later.
+REFRESH_S = (5.0, 10.0, 20.0, 30.0)
+REFRESH_FACTOR = 3.0
+CYCLE_SHARE = 0.05
+MAX_CYCLE_S = 5.0
+# A coarse attitude is one whose heading deserves the name.
+COARSE_SIGMA = math.radians(20.0)
+# These stand for sensors that claim to have no noise.
+LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
+LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
+LEAST_POSITION_NOISE = 1e-6  # [m]
+# Normal gravity against the real one, 1 sigma: 30 mGal.
+GRAVITY_ANOMALY = 3e-5
+
+
+class InertialAligner:
+    """The default method; fulfils `Aligner`.
+
+    Parameters
+    ----------
+    config : the settings
+    position : latitude and altitude give Earth rate and gravity
+    """
+
+    def __init__(self, config: SwingConfig, position: Position) -> None:
+        grade = config.grade
+        self._config = config
+        self._gravity = GravityModel(
+            normal_gravity(position.latitude, position.altitude), position.latitude, EARTH_RATE
+        )
+        self._earth_rate_n = earth_rate_n(position.latitude)
+        self._noise = NoiseModel(
+            gyro=max(grade.gyro_arw, LEAST_GYRO_NOISE),
+            accel=max(grade.accel_vrw, LEAST_ACCEL_NOISE),
+            drift=grade.gyro_bias_instability,
+            drift_time_s=grade.gyro_bias_correlation_s,
+            position=max(config.position_noise, LEAST_POSITION_NOISE),
+            walk=config.position_walk,
+        )
+        self._excitation = LeverExcitation(self._noise.gyro)
+        self._epochs = Epochs()
+        self._filter = TwoStageFilter(self._noise)
+        self._filtered = 0  # epochs that the filter has taken in
+        self._about: Linearisation | None = None
+        self._solution: Solution | None = None
+        self._estimate: Estimate | None = None
+        self._stamp_ns = 0
+        self._next_refresh_s = REFRESH_S[0]
+        self._next_cycle_s = 0.0
+        self._mean_force_b = np.zeros(3)
+
+    def update(self, block: ImuBlock) -> None:
+        """Take in the next block of samples."""
+        windows = integrate_windows(block, self._config.sampling, EPOCHS_PER_BLOCK)
+        self._epochs.append(windows)
+        self._excitation.update(self._epochs)
+        self._stamp_ns = int(block.stamp_ns[-1])
+        now = float(self._epochs.time_s[-1])
+        share = float(windows.duration_s.sum()) / now
+        self._mean_force_b += share * (block.f_ib_b.mean(axis=1) - self._mean_force_b)
+        # Half a block of grace: the ends of blocks fall on stamps, not on the grid itself.
+        if now > self._next_refresh_s - 0.5:
+            later = [t for t in REFRESH_S if t > now + 0.5]
+            self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
+            self._refresh()
+        elif self._solution is not None and now > self._next_cycle_s - 0.5:
+            self._advance()
+            self._solution = self._solver().solve(self._filter.normal, self._solution)
+        if self._filtered == len(self._epochs):
+            self._next_cycle_s = now + min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
+        self._estimate = self._conclude()
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """At the last stamp of the last block; None before the coarse attitude exists."""
+        return self._estimate
+
+    def propagate(self, block: ImuBlock) -> Estimate | None:
+        """`estimate` carried to the end of `block` by the gyros; changes nothing."""
+        if self._estimate is None:
+            return None
+        turned = integrate_rotation(block, self._config.sampling)
+        q = multiply_quaternions(self._epochs.q, turned)
+        ahead_s = int(block.stamp_ns[-1] - self._stamp_ns) * 1e-9
+        C_b0b = dcm_from_quaternion(q / np.linalg.norm(q))
+        return self._estimate_at(int(block.stamp_ns[-1]), C_b0b, ahead_s)
+
+    def _refresh(self) -> None:
+        """Run over the stored increments again until the attitude stays."""
+        if self._solution is None or not self._is_coarse(self._solution):
+            self._start()
+        for _ in range(self._config.passes):
+            before = self._solution
+            if before is None:
+                return
+            self._about = Linearisation(before.R, before.x[X_R], before.theta)
+            self._filter, self._filtered = TwoStageFilter(self._noise), 0
+            self._advance()
+            self._solution = self._solver().solve(self._filter.normal, before)
+            moved = log_rotation(self._solution.R @ before.R.T)
+            sigma = np.sqrt(self._solution.covariance.diagonal()[KAPPA])
+            if (np.abs(moved) < 0.01 * sigma).all():
+                return
+
+    def _start(self) -> None:
+        """Attitude from nothing: the model's force is minus the mean measured one."""
+        up = self._epochs.u.sum(axis=0)
+        up /= np.linalg.norm(up)
+        level = _any_rotation_with_up(up)
+        prior = self._prior()
+        self._about = Linearisation(level, np.zeros(3), np.zeros(THETA))
+        self._filter, self._filtered = TwoStageFilter(self._noise), 0
+        self._solution = None
+        self._advance()
+        R = start_attitude(self._filter.normal, prior)
+        if R is not None:
+            first = Solution(R, prior.mean, np.zeros((SIZE, SIZE)))
+            self._solution = self._solver().solve(self._filter.normal, first)
+
+    def _advance(self) -> None:
+        """Let the filter take in the epochs that it has not."""
+        assert self._about is not None
+        steps = build_steps(self._epochs, self._filtered, self._about, self._gravity, self._noise)
+        theta = None if self._solution is None else self._solution.theta
+        self._filter.run(steps, theta)
+        self._filtered = len(self._epochs)
+
+    def _prior(self) -> Prior:
+        """Scale errors and misalignments of the accelerometers act as biases under gravity."""
+        grade, config = self._config.grade, self._config
+        along = self._mean_force_b**2
+        across = along.sum() - along
+        variance = (
+            grade.accel_bias**2 + grade.accel_scale**2 * along + grade.misalignment**2 * across
+        )
+        return make_prior(
+            config.lever_arm_prior,
+            config.lever_arm_prior_sigma,
+            grade.gyro_bias,
+            np.sqrt(variance),
+            GRAVITY_ANOMALY if grade.accel_bias > 0.0 else 0.0,
+        )
+
+    def _solver(self) -> Solver:
+        return Solver(self._prior(), self._excitation.free_directions())
+
+    def _is_coarse(self, solution: Solution) -> bool:
+        """Whether heading is known well enough to be spoken of."""
+        up = solution.R[:, 2]
+        variance = up @ solution.covariance[KAPPA, KAPPA] @ up
+        return bool(variance < COARSE_SIGMA**2)
+
+    def _conclude(self) -> Estimate | None:
+        if self._solution is None or not self._is_coarse(self._solution):
+            return None
+        return self._estimate_at(self._stamp_ns, self._epochs.C[-1], 0.0)
+
+    def _estimate_at(self, stamp_ns: int, C_b0b: Array, ahead_s: float) -> Estimate:
+        """The solution as attitude at a time, `ahead_s` after the last epoch.
+
+        C_nb = Exp(-w_ie t) R^T (I + [phi x]) C^
+        """
+        solution, filter_ = self._solution, self._filter
+        assert solution is not None
+        theta = solution.theta
+        x = filter_.X[:, :THETA] @ theta + filter_.X[:, DATA]
+        bias = theta[15:18] + (x[DRIFT] if self._noise.drift > 0.0 else 0.0)
+        # The random part is that of the last cycle; since then the bias has gone on.
+        phi = x[PHI] - self._epochs.B[self._filtered :].sum(axis=0) @ bias
+        phi -= C_b0b @ bias * ahead_s
+        t = float(self._epochs.time_s[-1]) + ahead_s
+        C_nb0 = exp_rotation(-self._earth_rate_n * t) @ solution.R.T
+        C_nb = C_nb0 @ exp_rotation(phi) @ C_b0b
+        # Error of the whole, in b0: the filter's own, its response to x, and kappa.
+        J = filter_.X[:, :THETA] @ solution.jacobian()
+        response = J[PHI].copy()
+        response[:, KAPPA] -= np.eye(3)
+        unfiltered_s = t - float(self._epochs.time_s[self._filtered])
+        P = filter_.P[PHI, PHI] + response @ solution.covariance @ response.T
+        P += self._noise.gyro**2 * unfiltered_s * np.eye(3)
+        P_n = C_nb0 @ P @ C_nb0.T
+        bias_response = np.zeros((3, SIZE))
+        bias_response[:, X_BG] = np.eye(3)
+        bias_variance = np.zeros(3)
+        if self._noise.drift > 0.0:
+            bias_response += J[DRIFT]
+            bias_variance = filter_.P[DRIFT, DRIFT].diagonal()
+        bias_covariance = bias_response @ solution.covariance @ bias_response.T
+        return Estimate(
+            stamp_ns=stamp_ns,
+            q_nb=quaternion_from_dcm(C_nb),
+            misalignment_covariance=0.5 * (P_n + P_n.T),
+            gyro_bias=bias,
+            gyro_bias_sigma=np.sqrt(bias_variance + bias_covariance.diagonal()),
+            accel_bias=solution.x[X_BA],
+            accel_bias_sigma=np.sqrt(solution.covariance.diagonal()[X_BA]),
+            lever_arm=self._lever_arm(solution),
+            consistency=filter_.noise.consistency,
+        )
+
+    def _lever_arm(self, solution: Solution) -> LeverArm:
+        free = self._excitation.free_directions()
+        frozen = np.eye(3) - free @ free.T
+        covariance = solution.covariance[X_R, X_R]
+        covariance = covariance + self._config.lever_arm_prior_sigma**2 * frozen
+        x, y, z = (bool(share < 0.1) for share in frozen.diagonal())
+        return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
+
+
+def _any_rotation_with_up(up: Array) -> Array:
+    """Columns east, north, up with the given up and an east of no meaning: (3, 3)."""
+    east = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
+    east /= np.linalg.norm(east)
+    return np.column_stack((east, np.cross(up, east), up))

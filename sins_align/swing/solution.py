@@ -1,0 +1,218 @@
+"""Attitude, lever arm and biases from the sums of the two-stage filter.
+
+The weighted sum of squares is a quadratic in theta, whose attitude part (R_e, R_n, R_u) is a
+rotation matrix times 1 + delta_g, the unknown share by which gravity's magnitude differs from
+the model's. It is minimised over
+
+    x = [kappa, v0, r, b_g, b_a, delta_g]        R = Exp(kappa) R^
+
+by Gauss-Newton; the sums are exact, so that no step needs the data again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from sins_align.rotation import exp_rotation, skew
+from sins_align.swing.two_stage import (
+    ACCEL_BIAS,
+    ATTITUDE,
+    DATA,
+    GYRO_BIAS,
+    LEVER,
+    R_EAST,
+    R_UP,
+    THETA,
+    V0,
+)
+from sins_align.types import Array
+
+# Elements of x.
+KAPPA, X_V0, X_R, X_BG, X_BA, X_G = (
+    slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15), 15,
+)
+SIZE = 16
+# A direction of the accelerometer bias is estimated where the data alone know it better
+# than the prior by this ratio of variances; elsewhere it is considered.
+ESTIMATE_RATIO = 10.0
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of x before the data.
+
+    mean, variance : (16,) in the order of x; variance 0 stands for no prior at kappa and v0,
+        and for an exact one elsewhere
+    """
+
+    mean: Array
+    variance: Array
+
+
+def make_prior(
+    lever_arm: Array,
+    lever_sigma: float,
+    gyro_bias_sigma: float,
+    accel_bias_sigma: Array,
+    gravity_sigma: float,
+) -> Prior:
+    """Prior of x: biases and delta_g have zero mean.
+
+    Parameters
+    ----------
+    lever_arm, lever_sigma : (3,) and per axis [m]
+    gyro_bias_sigma : [rad/s]; accel_bias_sigma : (3,) [m/s^2]; gravity_sigma : [1]
+    """
+    mean, sigma = np.zeros(SIZE), np.zeros(SIZE)
+    mean[X_R], sigma[X_R] = lever_arm, lever_sigma
+    sigma[X_BG], sigma[X_BA], sigma[X_G] = gyro_bias_sigma, accel_bias_sigma, gravity_sigma
+    return Prior(mean, sigma**2)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Minimum of the sum of squares.
+
+    R : (3, 3) columns east, north, up at t = 0 in b0
+    x : (16,) with kappa = 0: R holds the attitude
+    covariance : (16, 16) of x, considered parameters included
+    """
+
+    R: Array
+    x: Array
+    covariance: Array
+
+    @property
+    def theta(self) -> Array:
+        """(21,) as the filter's columns take it."""
+        theta = np.empty(THETA)
+        theta[ATTITUDE] = (1.0 + self.x[X_G]) * self.R.T.reshape(9)
+        theta[V0], theta[LEVER] = self.x[X_V0], self.x[X_R]
+        theta[GYRO_BIAS], theta[ACCEL_BIAS] = self.x[X_BG], self.x[X_BA]
+        return theta
+
+    def jacobian(self) -> Array:
+        """d theta / d x: (21, 16)."""
+        J = np.zeros((THETA, SIZE))
+        scale = 1.0 + self.x[X_G]
+        for j in range(3):
+            J[3 * j : 3 * j + 3, KAPPA] = -scale * skew(self.R[:, j])
+            J[3 * j : 3 * j + 3, X_G] = self.R[:, j]
+        J[9:21, 3:15] = np.eye(12)
+        return J
+
+
+def start_attitude(normal: Array, prior: Prior) -> Array | None:
+    """Closed-form attitude from the sums, from no knowledge at all: R (3, 3).
+
+    Free vectors R_u and R_e, start velocity and lever arm; biases zero, and R_n, whose share
+    of gravity is of second order in time, left out. TRIAD then makes them a rotation. None
+    where the sums do not determine them.
+    """
+    free = np.r_[R_EAST, R_UP, V0, LEVER]
+    N = normal[np.ix_(free, free)].copy()
+    b = -normal[free, DATA]
+    # An exact prior is as good as one of a nanometre here.
+    lever = slice(9, 12)
+    weight = 1.0 / np.maximum(prior.variance[X_R], 1e-18)
+    N[lever, lever] += np.diag(weight)
+    b[lever] += weight * prior.mean[X_R]
+    scale = 1.0 / np.sqrt(np.diag(N))
+    try:
+        factor = cho_factor(N * scale[:, None] * scale)
+    except np.linalg.LinAlgError:
+        return None
+    solution = scale * cho_solve(factor, scale * b)
+    east, up = solution[0:3], solution[3:6]
+    up = up / np.linalg.norm(up)
+    east = east - up * (up @ east)
+    east = east / np.linalg.norm(east)
+    return np.column_stack((east, np.cross(up, east), up))
+
+
+class Solver:
+    """Minimises the sum of squares for one prior.
+
+    Parameters
+    ----------
+    prior : its zero sigmas fix the parameter
+    lever_free : (3, m) orthonormal directions of the lever arm that the motion excites;
+        the others stay at the prior
+    """
+
+    def __init__(self, prior: Prior, lever_free: Array) -> None:
+        self._prior = prior
+        self._lever_free = lever_free
+
+    def solve(self, normal: Array, start: Solution, iterations: int = 10) -> Solution:
+        """Gauss-Newton from `start`, until the attitude stays, or `iterations`."""
+        basis, considered = self._parameters(self._reduced(normal, start)[0])
+        current = self._at_prior_outside(start, basis)
+        for _ in range(iterations):
+            N, gradient = self._reduced(normal, current)
+            factor, scale = _factor(basis.T @ N @ basis)
+            step = basis @ -_solve(factor, scale, basis.T @ gradient)
+            x = current.x + step
+            x[KAPPA] = 0.0
+            current = replace(current, R=exp_rotation(step[KAPPA]) @ current.R, x=x)
+            covariance = basis @ _solve(factor, scale, basis.T)
+            sigma = np.sqrt(covariance.diagonal()[KAPPA])
+            if (np.abs(step[KAPPA]) < 1e-3 * sigma).all():
+                break
+        # A considered error c moves the estimate by Sigma N c.
+        error = considered - covariance @ (N @ considered)
+        return replace(current, covariance=covariance + error @ error.T)
+
+    def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
+        """Information (16, 16) and gradient (16,) of data and prior."""
+        J = at.jacobian()
+        A = normal[:THETA, :THETA]
+        N = J.T @ A @ J
+        gradient = J.T @ (A @ at.theta + normal[:THETA, DATA])
+        variance, mean = self._prior.variance, self._prior.mean
+        known = variance > 0.0
+        N[known, known] += 1.0 / variance[known]
+        gradient[known] += (at.x[known] - mean[known]) / variance[known]
+        return N, gradient
+
+    def _parameters(self, N: Array) -> tuple[Array, Array]:
+        """Directions of x to estimate (16, m), and to consider, times their sigma (16, c)."""
+        unit = np.eye(SIZE)
+        variance = self._prior.variance
+        columns = [unit[:, :6]]
+        if variance[X_R].any():
+            columns.append(unit[:, X_R] @ self._lever_free)
+        columns += [unit[:, [k]] for k in (9, 10, 11, X_G) if variance[k] > 0.0]
+        basis = np.hstack(columns)
+        sigma = np.sqrt(variance[X_BA])
+        if not sigma.all():
+            return basis, np.zeros((SIZE, 0))
+        # Information of data and prior on the accelerometer bias, in units of the prior.
+        factor, scale = _factor(basis.T @ N @ basis)
+        cross = basis.T @ N[:, X_BA] * sigma
+        own = N[X_BA, X_BA] * np.outer(sigma, sigma) - cross.T @ _solve(factor, scale, cross)
+        ratio, vectors = np.linalg.eigh(own)
+        directions = unit[:, X_BA] @ (sigma[:, None] * vectors)
+        excited = ratio > 1.0 + ESTIMATE_RATIO
+        return np.hstack((basis, directions[:, excited])), directions[:, ~excited]
+
+    def _at_prior_outside(self, start: Solution, basis: Array) -> Solution:
+        """`start` with what is not estimated put back to its prior."""
+        mean = self._prior.mean
+        x = mean + basis @ np.linalg.lstsq(basis, start.x - mean, rcond=None)[0]
+        return replace(start, x=x)
+
+
+def _factor(N: Array) -> tuple[tuple[Array, bool], Array]:
+    """Cholesky factor of N scaled to a unit diagonal, and the scale."""
+    scale = 1.0 / np.sqrt(np.diag(N))
+    return cho_factor(N * scale[:, None] * scale), scale
+
+
+def _solve(factor: tuple[Array, bool], scale: Array, right: Array) -> Array:
+    if right.ndim == 1:
+        return scale * cho_solve(factor, scale * right)
+    return scale[:, None] * cho_solve(factor, scale[:, None] * right)
