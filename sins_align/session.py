@@ -79,6 +79,11 @@ class Session:
         return self._restarts
 
     @property
+    def begin_reason(self) -> str:
+        """Why the alignment began anew, empty at the first start."""
+        return self._begin_reason
+
+    @property
     def status(self) -> Status:
         """As of the last whole block."""
         return self._status

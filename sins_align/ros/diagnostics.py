@@ -1,0 +1,92 @@
+"""The alignment's state as diagnostics: every key, every time, as text."""
+
+from __future__ import annotations
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from sins_align.session import Session
+from sins_align.types import Estimate, State, Status
+from sins_align.units import ARCMIN
+
+UNKNOWN = "unknown"
+_AXES = ("x", "y", "z")
+
+
+def number_text(value: float | None, digits: int = 3) -> str:
+    """Plain decimal text, `unknown` where there is no finite value."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    return f"{value:.{digits}f}"
+
+
+def diagnostic_status(
+    session: Session, name: str, silent_s: float | None, estimate: Estimate | None
+) -> DiagnosticStatus:
+    """Level, message and the keys that every node has.
+
+    Parameters
+    ----------
+    session : as it stands now
+    name : of the node
+    silent_s : how long no usable IMU sample has come [s]; None: they do come
+    estimate : of the session
+    """
+    status = session.status
+    level, message = _level(status, silent_s)
+    counts = session.counts
+    sigma = (None,) * 3 if estimate is None else (estimate.sigma / ARCMIN).tolist()
+    consistency = None if estimate is None else estimate.consistency
+    texts = {
+        "state": status.state.value,
+        "reason": message if level != DiagnosticStatus.OK else "",
+        "remedy": status.remedy,
+        "elapsed_s": number_text(status.elapsed_s),
+        "sigma_east_arcmin": number_text(sigma[0], 4),
+        "sigma_north_arcmin": number_text(sigma[1], 4),
+        "sigma_heading_arcmin": number_text(sigma[2], 4),
+        "heading_limit_arcmin": number_text(status.heading_limit / ARCMIN, 4),
+        "eta_s": "0" if status.state is State.ALIGNED else UNKNOWN,
+        "consistency": number_text(consistency),
+        "imu_rate_hz": number_text(session.imu_rate_hz),
+        "imu_gaps": str(counts.imu_gaps),
+        "imu_rejected": str(counts.imu_rejected),
+        "odom_rejected": str(counts.odom_rejected),
+    }
+    return DiagnosticStatus(
+        level=level,
+        name=f"{name}: alignment",
+        message=message,
+        hardware_id=name,
+        values=key_values(texts),
+    )
+
+
+def key_values(texts: dict[str, str]) -> list[KeyValue]:
+    """The texts as they go into a DiagnosticStatus."""
+    return [KeyValue(key=key, value=text) for key, text in texts.items()]
+
+
+def lever_arm_texts(estimate: Estimate | None) -> dict[str, str]:
+    """The keys of the lever arm; an axis that the motion does not excite is unknown."""
+    lever_arm = None if estimate is None else estimate.lever_arm
+    texts = {}
+    for k, axis in enumerate(_AXES):
+        value = sigma = None
+        if lever_arm is not None and lever_arm.observable[k]:
+            value = float(lever_arm.r_b[k])
+            sigma = math.sqrt(lever_arm.covariance[k, k])
+        texts[f"lever_{axis}_m"] = number_text(value, 6)
+        texts[f"lever_{axis}_sigma_m"] = number_text(sigma, 6)
+    return texts
+
+
+def _level(status: Status, silent_s: float | None) -> tuple[bytes, str]:
+    if silent_s is not None:
+        return DiagnosticStatus.ERROR, f"no usable IMU data for {silent_s:.0f} s"
+    if status.state in (State.WAITING, State.FAILED):
+        return DiagnosticStatus.ERROR, status.reason
+    if status.state is State.ALIGNED:
+        return DiagnosticStatus.OK, "aligned"
+    return DiagnosticStatus.WARN, status.reason

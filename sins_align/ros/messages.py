@@ -1,0 +1,101 @@
+"""ROS messages from estimates, and positions from ROS messages."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion
+from sensor_msgs.msg import Imu, NavSatFix
+from std_msgs.msg import Header
+
+from sins_align.types import Array, Estimate, LeverArm, Position
+from sins_align.units import DEG
+
+_NS = 1_000_000_000
+
+
+def time_message(stamp_ns: int) -> Time:
+    """A time [ns]."""
+    return Time(sec=stamp_ns // _NS, nanosec=stamp_ns % _NS)
+
+
+def header_message(stamp_ns: int, frame_id: str) -> Header:
+    """Header of a time [ns] and a frame."""
+    return Header(stamp=time_message(stamp_ns), frame_id=frame_id)
+
+
+def attitude_message(estimate: Estimate, w_ib_b: Array, f_ib_b: Array, frame_id: str) -> Imu:
+    """Attitude, with the rate and the specific force freed from their estimated biases.
+
+    Parameters
+    ----------
+    estimate : at the time of the sample
+    w_ib_b, f_ib_b : (3,) the sample [rad/s], [m/s^2]
+    frame_id : of the IMU
+
+    Returns
+    -------
+    Orientation is body to ENU, its covariance that of the misalignment [rad^2]. The other
+    two covariances are those of the biases.
+    """
+    message = Imu(header=header_message(estimate.stamp_ns, frame_id))
+    message.orientation = _quaternion(estimate.q_nb)
+    message.orientation_covariance = estimate.misalignment_covariance.ravel()
+    _set_vector(message.angular_velocity, w_ib_b - estimate.gyro_bias)
+    _set_vector(message.linear_acceleration, f_ib_b - estimate.accel_bias)
+    message.angular_velocity_covariance = np.diag(estimate.gyro_bias_sigma**2).ravel()
+    message.linear_acceleration_covariance = np.diag(estimate.accel_bias_sigma**2).ravel()
+    return message
+
+
+def misalignment_message(estimate: Estimate, nav_frame: str) -> PoseWithCovarianceStamped:
+    """Orientation body to ENU, and the misalignment covariance in the rotation block."""
+    message = PoseWithCovarianceStamped(header=header_message(estimate.stamp_ns, nav_frame))
+    message.pose.pose.orientation = _quaternion(estimate.q_nb)
+    covariance = np.zeros((6, 6))
+    covariance[3:, 3:] = estimate.misalignment_covariance
+    message.pose.covariance = covariance.ravel()
+    return message
+
+
+def lever_arm_message(
+    stamp_ns: int, lever_arm: LeverArm, frame_id: str
+) -> PoseWithCovarianceStamped:
+    """Position and position block: swing centre to IMU in the IMU's axes [m], [m^2]."""
+    message = PoseWithCovarianceStamped(header=header_message(stamp_ns, frame_id))
+    _set_vector(message.pose.pose.position, lever_arm.r_b)
+    message.pose.pose.orientation.w = 1.0
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = lever_arm.covariance
+    message.pose.covariance = covariance.ravel()
+    return message
+
+
+def position_from_fix(fix: NavSatFix) -> Position | None:
+    """Position of a fix, None where it has none; an altitude that is not finite is 0."""
+    known = fix.status.status >= 0 and math.isfinite(fix.longitude)
+    if not known or not abs(fix.latitude) <= 90.0 or not abs(fix.longitude) <= 180.0:
+        return None
+    altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
+    return Position(fix.latitude * DEG, fix.longitude * DEG, altitude)
+
+
+def fix_message(stamp_ns: int, position: Position, frame_id: str) -> NavSatFix:
+    """A fix at a position."""
+    return NavSatFix(
+        header=header_message(stamp_ns, frame_id),
+        latitude=position.latitude / DEG,
+        longitude=position.longitude / DEG,
+        altitude=position.altitude,
+    )
+
+
+def _quaternion(q_nb: Array) -> Quaternion:
+    w, x, y, z = q_nb.tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+def _set_vector(vector: object, values: Array) -> None:
+    vector.x, vector.y, vector.z = values.tolist()  # type: ignore[attr-defined]

@@ -1,0 +1,242 @@
+"""What the alignment nodes share: parameters, topics, services, diagnostics, result file."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import Imu, NavSatFix
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from sins_align.parameters import parameters_of
+from sins_align.ros import messages
+from sins_align.ros.cdr import ImuDecoder, pack_payloads
+from sins_align.ros.diagnostics import diagnostic_status, key_values
+from sins_align.ros.node_parameters import declare_parameters
+from sins_align.ros.publish_grid import PublishGrid, find_sample
+from sins_align.ros.result import Timing, result_document, write_result
+from sins_align.session import Session
+from sins_align.types import Estimate, ImuSamples, State, Status
+
+IMU_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+FIX_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# An attitude every 20 ms, and nobody who misses half a second of them.
+OUTPUT_QOS = QoSProfile(depth=25)
+
+FLUSH_S = 0.1  # no sample waits longer for the next one
+SILENT_S = 2.0  # without usable data: an error
+
+_STAMP = (struct.Struct(">iI"), struct.Struct("<iI"))  # by the last bit of the encapsulation
+_NS = 1_000_000_000
+
+
+class AlignNode(Node):
+    """A node around a `Session`.
+
+    The payloads of `imu` are kept as they come and decoded many at a time, when an output
+    is due on the grid of stamps or, when the stream pauses, by a timer. The session's
+    numbers do not depend on how many samples it gets in one call.
+
+    Parameters
+    ----------
+    node_name : its parameters are those of the table for this name
+    make_session : from the parameter values
+
+    Raises
+    ------
+    ConfigError : a parameter that cannot be used; names the key
+    """
+
+    def __init__(self, node_name: str, make_session: Callable[[dict[str, Any]], Session]) -> None:
+        super().__init__(node_name, automatically_declare_parameters_from_overrides=True)
+        self._kind = node_name  # the node itself may have been given another name
+        values: dict[str, Any] = declare_parameters(self, parameters_of(node_name))
+        self.executor_kind: str = values["executor"]
+        self._nav_frame: str = values["nav_frame"]
+        self._result_file: str = values["result_file"]
+        self.session = make_session(values)
+        self._grid = PublishGrid(values["publish_rate_hz"])
+        self._payloads: list[bytes] = []
+        self._decoder = ImuDecoder()
+        self._frame_id = ""
+        self._published_ns = 0
+        self._begun = time.monotonic()
+        self._estimate_s = 0.0
+        self._usable = (0, self._begun)  # accepted samples, and since when no more
+        self._logged_state = self.session.status.state
+        self._logged_restarts = 0
+        self._aligned = False
+        self._create_outputs()
+        self._create_inputs()
+
+    def _create_outputs(self) -> None:
+        self._attitude = self.create_publisher(Imu, "~/attitude", OUTPUT_QOS)
+        self._misalignment = self.create_publisher(
+            PoseWithCovarianceStamped, "~/misalignment", OUTPUT_QOS
+        )
+        self._aligned_publisher = self.create_publisher(Bool, "~/aligned", LATCHED_QOS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._processed = self.create_publisher(Time, "~/processed", 10)
+        self._aligned_publisher.publish(Bool(data=False))
+
+    def _create_inputs(self) -> None:
+        self.create_subscription(
+            Imu, "imu", self._on_imu, IMU_QOS, raw=True,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )  # fmt: skip
+        self.create_subscription(
+            NavSatFix, "fix", self._on_fix, FIX_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )  # fmt: skip
+        self.create_service(Trigger, "~/restart", self._on_restart)
+        self.create_service(Trigger, "~/save", self._on_save)
+        wall = Clock(clock_type=ClockType.STEADY_TIME)  # also when the time of the data stands
+        self.create_timer(FLUSH_S, self._flush, clock=wall)
+        self.create_timer(1.0, self._publish_diagnostics, clock=wall)
+
+    def publish_update(self, estimate: Estimate, frame_id: str) -> None:
+        """Publish what changes from block to block. Nothing here; for a node's own topics."""
+
+    def diagnostic_texts(self, estimate: Estimate | None) -> dict[str, str]:
+        """Keys of the diagnostics that only this node has. None here."""
+        return {}
+
+    def _on_imu(self, payload: bytes) -> None:
+        # At a kilohertz every line here counts.
+        self._payloads.append(payload)
+        seconds, nanoseconds = _STAMP[payload[1] & 1].unpack_from(payload, 4)
+        if self._grid.reached(seconds * _NS + nanoseconds):
+            samples = self._flush()
+            if samples is not None:
+                self._publish_attitude(samples)
+
+    def _flush(self) -> ImuSamples | None:
+        """Hand what has come to the session; None where nothing has."""
+        if not self._payloads:
+            return None
+        payloads, self._payloads = self._payloads, []
+        buffer, offset, size = pack_payloads(payloads)
+        rows = self._decoder(buffer, offset, size, np.zeros_like(offset))
+        if not len(rows):
+            return None
+        samples = ImuSamples(
+            np.ascontiguousarray(rows["stamp_ns"]),
+            np.ascontiguousarray(rows["w_ib_b"].T),
+            np.ascontiguousarray(rows["f_ib_b"].T),
+        )
+        if not self._frame_id and self._decoder.frame_ids:
+            self._frame_id = min(self._decoder.frame_ids)
+        begin = time.perf_counter()
+        updates = self.session.add_imu(samples)
+        self._estimate_s += time.perf_counter() - begin
+        for update in updates:
+            if update.estimate is not None:
+                self.publish_update(update.estimate, self._frame_id)
+            self._announce(update.status)
+        self._announce(self.session.status)  # a restart is no update
+        if self._processed.get_subscription_count():
+            self._processed.publish(messages.time_message(int(samples.stamp_ns[-1])))
+        return samples
+
+    def _announce(self, status: Status) -> None:
+        """Log a change of state, and publish one of `aligned`."""
+        restarts = self.session.restarts
+        if restarts != self._logged_restarts:
+            self._logged_restarts = restarts
+            self.get_logger().warning(f"the alignment began anew: {self.session.begin_reason}")
+        if status.state is not self._logged_state:
+            self._logged_state = status.state
+            self.get_logger().info(": ".join(filter(None, (status.state.value, status.reason))))
+        aligned = status.state is State.ALIGNED
+        if aligned != self._aligned:
+            self._aligned = aligned
+            self._aligned_publisher.publish(Bool(data=aligned))
+            if aligned:
+                self._save()
+
+    def _publish_attitude(self, samples: ImuSamples) -> None:
+        estimate = self.session.estimate
+        if estimate is None or estimate.stamp_ns == self._published_ns:
+            return
+        sample = find_sample(samples, estimate.stamp_ns)
+        if sample is None:
+            return
+        self._published_ns = estimate.stamp_ns
+        self._attitude.publish(messages.attitude_message(estimate, *sample, self._frame_id))
+        self._misalignment.publish(messages.misalignment_message(estimate, self._nav_frame))
+
+    def _on_fix(self, fix: NavSatFix) -> None:
+        position = messages.position_from_fix(fix)
+        if position is None or self.session.position is not None:
+            return
+        self._flush()
+        self.session.set_position(position)
+        self.get_logger().info(
+            f"position from topic fix: {fix.latitude:.6f} deg, {fix.longitude:.6f} deg"
+        )
+
+    def _on_restart(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._flush()
+        self.session.restart()
+        self._announce(self.session.status)
+        response.success, response.message = True, "started again"
+        return response
+
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._flush()
+        if not self._result_file:
+            response.message = "parameter result_file is empty: nowhere to write to"
+            return response
+        problem = self._save()
+        response.success = not problem
+        response.message = problem or f"written to {self._result_file}"
+        return response
+
+    def _save(self) -> str:
+        """Write the result file, if there is to be one; what went wrong, '' if nothing."""
+        if not self._result_file:
+            return ""
+        timing = Timing(time.monotonic() - self._begun, 0.0, self._estimate_s)
+        try:
+            write_result(Path(self._result_file), result_document(self._kind, self.session, timing))
+        except OSError as error:
+            problem = f"result_file {self._result_file} could not be written: {error}"
+            self.get_logger().error(problem)
+            return problem
+        return ""
+
+    def finish(self) -> None:
+        """Take in what has come and write the result file; works after the shutdown of ROS."""
+        self._flush()
+        self._save()
+
+    def _silent_s(self) -> float | None:
+        """For how long no usable sample has come [s]; None while they come."""
+        now = time.monotonic()
+        count = self.session.counts.imu_samples
+        if count != self._usable[0]:
+            self._usable = (count, now)
+        silent = now - self._usable[1]
+        return silent if count == 0 or silent > SILENT_S else None
+
+    def _publish_diagnostics(self) -> None:
+        self._flush()
+        estimate = self.session.estimate
+        status = diagnostic_status(self.session, self.get_name(), self._silent_s(), estimate)
+        status.values += key_values(self.diagnostic_texts(estimate))
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)

@@ -1,0 +1,68 @@
+"""A node's parameters, declared from a table of `sins_align.parameters.Parameter`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from sins_align.grades import ConfigError
+from sins_align.parameters import Parameter, Value
+from sins_align.ros.parameter_values import is_ros_parameter
+
+_INTEGER_LIMIT = 2**63 - 1
+
+
+def declare_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Value]:
+    """Declare the parameters of `table`, all of them read-only, and return their values.
+
+    The node must have been made with automatically_declare_parameters_from_overrides. Its
+    overrides are undeclared here and declared again with description and range: so values
+    are checked by the table, with the same words as for a replay, a whole number is good
+    for a real one, and a name that is not in the table does not pass unnoticed.
+
+    Raises
+    ------
+    ConfigError : unknown name, wrong type, out of range; names the key
+    """
+    values: dict[str, Value] = {name: entry.default for name, entry in table.items()}
+    for name, override in node.get_parameters_by_prefix("").items():
+        if is_ros_parameter(name):
+            continue
+        if name not in table:
+            raise ConfigError(f"{name}: unknown parameter of {node.get_name()}")
+        given = override.value
+        values[name] = table[name].check(given if _is_plain(given) else list(given))
+        node.undeclare_parameter(name)
+    for name, entry in table.items():
+        node.declare_parameter(name, values[name], _descriptor(entry), ignore_override=True)
+    return values
+
+
+def _is_plain(value: object) -> bool:
+    return value is None or isinstance(value, bool | int | float | str)
+
+
+def _descriptor(entry: Parameter) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=entry.description,
+        additional_constraints=entry.range_text(),
+        read_only=True,
+    )
+    default = entry.default
+    if isinstance(default, bool | str | list):
+        return descriptor
+    # NaN, "not set", is in no range; then the text has to do.
+    if isinstance(default, int):
+        low, high = (
+            int(min(max(limit, -_INTEGER_LIMIT), _INTEGER_LIMIT))
+            for limit in (entry.low, entry.high)
+        )
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+    elif not math.isnan(default) and math.isfinite(entry.low) and math.isfinite(entry.high):
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=entry.low, to_value=entry.high)
+        ]
+    return descriptor

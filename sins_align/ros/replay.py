@@ -1,0 +1,115 @@
+"""The estimation over a bag: the session that the live node has, fed from a file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from sins_align.config import ConfigError, SwingConfig
+from sins_align.ros.bags import Bag
+from sins_align.ros.publish_grid import PublishGrid, find_sample
+from sins_align.session import Session, Update
+from sins_align.types import Array, Estimate, ImuSamples
+
+
+@dataclass(frozen=True)
+class AttitudeRecord:
+    """An estimate at the time of an output, with the sample (3,) [rad/s], [m/s^2] there."""
+
+    estimate: Estimate
+    w_ib_b: Array
+    f_ib_b: Array
+
+
+@dataclass
+class Replay:
+    """A session and what came of it, block by block.
+
+    records : at the grid of outputs, if they were asked for
+    estimate_s : wall time of the estimation [s]
+    """
+
+    session: Session
+    updates: list[Update] = field(default_factory=list)
+    records: list[AttitudeRecord] = field(default_factory=list)
+    estimate_s: float = 0.0
+
+    def add(self, samples: ImuSamples) -> None:
+        """Take in samples."""
+        begin = time.perf_counter()
+        self.updates += self.session.add_imu(samples)
+        self.estimate_s += time.perf_counter() - begin
+
+    def add_recorded(self, samples: ImuSamples, grid: PublishGrid) -> None:
+        """Take in samples, and keep a record where the live node would publish."""
+        begin = 0
+        for k, stamp in enumerate(samples.stamp_ns.tolist()):
+            if grid.reached(stamp):
+                part = samples.select(slice(begin, k + 1))
+                self.add(part)
+                self._record(part)
+                begin = k + 1
+        self.add(samples.select(slice(begin, None)))
+
+    def _record(self, samples: ImuSamples) -> None:
+        estimate = self.session.estimate
+        sample = None if estimate is None else find_sample(samples, estimate.stamp_ns)
+        if estimate is not None and sample is not None:
+            self.records.append(AttitudeRecord(estimate, *sample))
+
+
+def open_session(config: SwingConfig, bag: Bag, fix_topic: str | None) -> Session:
+    """A session at the configured position, else at that of the bag's first valid fix.
+
+    Raises
+    ------
+    ConfigError : neither is there
+    BagError : the topic asked for is not there
+    """
+    session = Session(config)
+    if session.position is not None:
+        return session
+    topic = bag.find_optional_topic("fix", fix_topic)
+    position = None if topic is None else bag.read_fix(topic.name)
+    if position is None:
+        found = "no topic with a fix" if topic is None else f"no valid fix on {topic.name}"
+        raise ConfigError(f"latitude_deg: not given, and the bag has {found}: add --latitude-deg")
+    session.set_position(position)
+    return session
+
+
+def run_replay(
+    bag: Bag,
+    session: Session,
+    imu_topic: str | None,
+    *,
+    start_s: float = 0.0,
+    duration_s: float | None = None,
+    progress: Callable[[float], None] | None = None,
+    record_rate_hz: float | None = None,
+) -> Replay:
+    """Feed a bag to a session.
+
+    Parameters
+    ----------
+    imu_topic : None: the only one
+    start_s, duration_s : part of the bag, by stamp, from its first sample on [s]
+    progress : told the part that is done, 0 to 1
+    record_rate_hz : rate of the records, None: without
+
+    Raises
+    ------
+    BagError : no such topic, or no samples
+    """
+    topic = bag.find_topic("imu", imu_topic)
+    replay = Replay(session)
+    grid = None if record_rate_hz is None else PublishGrid(record_rate_hz)
+    for samples in bag.read_imu(
+        topic.name, start_s=start_s, duration_s=duration_s, progress=progress
+    ):
+        if grid is None:
+            replay.add(samples)
+        else:
+            replay.add_recorded(samples, grid)
+    return replay

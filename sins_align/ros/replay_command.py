@@ -1,0 +1,196 @@
+"""The command `align_replay`: align over a bag, as fast as the machine goes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+# Small matrices: threads cost more than they bring. It counts before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from sins_align.ros.command import ALIGNED, NOT_ALIGNED, Parser, run_command
+
+if TYPE_CHECKING:
+    from sins_align.ros.bags import Bag
+    from sins_align.ros.replay import Replay
+
+NAME = "align_replay"
+NODE = "swing_align"
+POSITION = ("latitude_deg", "longitude_deg", "altitude_m")
+
+EPILOG = """\
+exit status: 0 aligned, 3 the bag ended before the alignment was complete (the results so
+far are written), 2 bad usage, configuration or input, 1 a bug"""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; returns its exit status."""
+    begin = time.perf_counter()
+    parser = _parser()
+    options = parser.parse_args(args)
+    if options.kind == "odo":
+        parser.error("odo: alignment with an odometer is not there yet")
+    if options.bag and options.out is None:
+        parser.error("--bag needs --out DIR")
+    return run_command(NAME, lambda: _replay_swing(options, begin))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog=NAME, description="Align over recorded data: the same estimation as the live node.",
+        epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="swing")
+    odo = kinds.add_parser("odo", add_help=False)
+    odo.add_argument("rest", nargs=argparse.REMAINDER)
+    odo.set_defaults(bag=False)
+    swing = kinds.add_parser(
+        "swing", help="on a swinging or still base, as the node swing_align", epilog=EPILOG,
+        description="Align on a swinging or still base, as the node swing_align does.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    _add_input_options(swing)
+    _add_output_options(swing)
+    return parser
+
+
+def _add_input_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "bags", nargs="+", type=Path, metavar="BAG",
+        help="rosbag2 folder, .mcap, .db3 or ROS 1 .bag; several are read as one",
+    )  # fmt: skip
+    parser.add_argument("--params", type=Path, metavar="FILE.yaml", help="ROS 2 parameter file")
+    parser.add_argument(
+        "-p", "--param", dest="overrides", action="append", default=[], metavar="NAME:=VALUE",
+        help="one parameter, over those of the file; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--imu-topic", metavar="T", help="needed where there are several")
+    parser.add_argument("--fix-topic", metavar="T", help="needed where there are several")
+    for name, help_text in zip(
+        POSITION, ("else parameter latitude_deg, else the first valid fix", "", ""), strict=True
+    ):
+        unit = name.rpartition("_")[2].upper()
+        option = "--" + name.replace("_", "-")
+        parser.add_argument(option, type=float, metavar=unit, help=help_text)
+    parser.add_argument(
+        "--start", type=_seconds, default=0.0, metavar="S", help="skip so much of the bag [s]"
+    )
+    parser.add_argument("--duration", type=_seconds, metavar="S", help="use so much of it [s]")
+
+
+def _add_output_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="write result.json, estimates.csv and report.html there",
+    )  # fmt: skip
+    parser.add_argument("--bag", action="store_true", help="and aligned.mcap, with the attitude")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="truth.json to compare with")
+    parser.add_argument("--json", metavar="FILE", help="write result.json there; -: to stdout")
+    parser.add_argument("--quiet", action="store_true", help="neither result nor progress bar")
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} is not a time >= 0 s")
+    return value
+
+
+def _replay_swing(options: argparse.Namespace, begin: float) -> int:
+    from sins_align.config import swing_config
+    from sins_align.parameters import check_values
+    from sins_align.ros.bags import open_bag
+    from sins_align.ros.parameter_values import read_values
+    from sins_align.ros.replay import open_session, run_replay
+    from sins_align.ros.result import Timing, result_document
+    from sins_align.ros.truth import read_truth
+
+    values = read_values(NODE, options.params, options.overrides)
+    values.update({key: getattr(options, key) for key in POSITION if getattr(options, key)
+                   is not None})  # fmt: skip
+    config = swing_config(values)
+    truth = read_truth(options.truth) if options.truth else None
+    if options.out:
+        options.out.mkdir(parents=True, exist_ok=True)  # a bad one is known before the work
+    rate: Any = check_values(NODE, values)["publish_rate_hz"] if options.bag else None
+    with open_bag(options.bags) as bag, _progress(options.quiet) as progress:
+        replay = run_replay(
+            bag, open_session(config, bag, options.fix_topic), options.imu_topic,
+            start_s=options.start, duration_s=options.duration,
+            progress=progress, record_rate_hz=rate,
+        )  # fmt: skip
+    _warn(bag)
+    timing = Timing(time.perf_counter() - begin, bag.report.read_s, replay.estimate_s)
+    document = result_document(NODE, replay.session, timing)
+    _print(options, replay, document, truth)
+    _write(options, replay, document, truth, bag)
+    return ALIGNED if document["aligned"] else NOT_ALIGNED
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[float], None] | None]:
+    """A progress bar on a terminal, None elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    bar_format = "{l_bar}{bar}| {elapsed} < {remaining}"
+    with tqdm(total=1.0, desc="replay", leave=False, bar_format=bar_format) as bar:
+        yield lambda done: bar.update(done - bar.n)
+
+
+def _warn(bag: Bag) -> None:
+    for warning in bag.warnings:
+        print(f"{NAME}: warning: {warning}", file=sys.stderr)
+
+
+def _print(
+    options: argparse.Namespace, replay: Replay, document: dict[str, Any], truth: Any
+) -> None:
+    """The result on standard output, before anything can fail to be written."""
+    from sins_align.ros.result import result_text
+    from sins_align.ros.result_table import describe_result
+
+    if options.json == "-":
+        sys.stdout.write(result_text(document))
+    elif not options.quiet:
+        print(describe_result(document, replay.session.estimate, truth))
+    sys.stdout.flush()
+
+
+def _write(
+    options: argparse.Namespace, replay: Replay, document: dict[str, Any], truth: Any, bag: Bag
+) -> None:
+    from sins_align.ros.result import write_result
+
+    if options.json and options.json != "-":
+        write_result(Path(options.json), document)
+    if options.out is None:
+        return
+    from sins_align.ros.report import write_estimates, write_report
+
+    write_result(options.out / "result.json", document)
+    write_estimates(options.out / "estimates.csv", replay.updates)
+    title = ", ".join(map(str, options.bags))
+    write_report(
+        options.out / "report.html", title, replay.updates, document,
+        replay.session.estimate, truth,
+    )  # fmt: skip
+    if options.bag:
+        from sins_align.ros.attitude_bag import write_attitude_bag
+
+        frame_id = min(bag.report.frame_ids, default="")
+        write_attitude_bag(options.out / "aligned.mcap", replay, NODE, frame_id)
+    if not options.quiet and options.json != "-":
+        print(f"written to {options.out}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

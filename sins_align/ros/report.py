@@ -1,0 +1,145 @@
+"""What replay writes for people and spreadsheets: estimates.csv and report.html."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sins_align.ros.chart import Chart, Series, chart_svg
+from sins_align.ros.result import (
+    roll_pitch_heading,
+    roll_pitch_heading_sigma,
+    write_text_whole,
+)
+from sins_align.ros.result_table import HEAD, footer, outcome, result_rows
+from sins_align.ros.truth import Truth
+from sins_align.session import Update
+from sins_align.types import Array, Estimate
+from sins_align.units import ARCMIN, DEG
+
+_XYZ = ("x", "y", "z")
+COLUMNS = (
+    "stamp_ns", "elapsed_s", "state",
+    "roll_deg", "pitch_deg", "heading_deg",
+    "roll_sigma_arcmin", "pitch_sigma_arcmin", "heading_sigma_arcmin",
+    *(f"lever_{axis}_m" for axis in _XYZ), *(f"lever_{axis}_sigma_m" for axis in _XYZ),
+    *(f"gyro_bias_{axis}_rad_s" for axis in _XYZ),
+    *(f"gyro_bias_{axis}_sigma_rad_s" for axis in _XYZ),
+    *(f"accel_bias_{axis}_m_s2" for axis in _XYZ),
+    *(f"accel_bias_{axis}_sigma_m_s2" for axis in _XYZ),
+    "consistency",
+)  # fmt: skip
+_NUMBERS = len(COLUMNS) - 3
+
+_STYLE = """\
+body{font:15px/1.45 system-ui,sans-serif;color:#222;max-width:62rem;margin:2rem auto;padding:0 1rem}
+h1{font-size:1.35rem;margin:0}p{margin:.3rem 0}.good{color:#176b2c}.bad{color:#a03000}
+table{border-collapse:collapse;margin:1rem 0;font-variant-numeric:tabular-nums}
+th,td{padding:.15rem .8rem;text-align:right;border-bottom:1px solid #ddd}
+th:first-child,td:first-child{text-align:left;padding-left:0}
+.charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(26rem,1fr));gap:1rem}
+svg{width:100%;height:auto}footer{color:#666;font-size:.9rem;margin-top:1rem}"""
+
+
+def estimate_numbers(estimate: Estimate | None) -> Array:
+    """The numbers of one row of estimates.csv, NaN where there is no value."""
+    if estimate is None:
+        return np.full(_NUMBERS, np.nan)
+    lever_arm = estimate.lever_arm
+    lever = np.full(6, np.nan)
+    if lever_arm is not None:
+        lever = np.concatenate((lever_arm.r_b, np.sqrt(np.diag(lever_arm.covariance))))
+    return np.concatenate(
+        (
+            np.array(roll_pitch_heading(estimate.q_nb)) / DEG,
+            roll_pitch_heading_sigma(estimate) / ARCMIN,
+            lever,
+            estimate.gyro_bias, estimate.gyro_bias_sigma,
+            estimate.accel_bias, estimate.accel_bias_sigma,
+            [estimate.consistency],
+        )
+    )  # fmt: skip
+
+
+def write_estimates(path: Path, updates: Sequence[Update]) -> None:
+    """One row a block; a cell is empty where there is no value. OSError as `write_whole`."""
+    lines = [",".join(COLUMNS)]
+    for update in updates:
+        cells = ["" if x != x else f"{x:.12g}" for x in estimate_numbers(update.estimate).tolist()]
+        status = update.status
+        head = (str(update.stamp_ns), f"{status.elapsed_s:.6f}", status.state.value)
+        lines.append(",".join((*head, *cells)))
+    write_text_whole(path, "\n".join(lines) + "\n")
+
+
+def write_report(
+    path: Path,
+    title: str,
+    updates: Sequence[Update],
+    document: dict[str, Any],
+    estimate: Estimate | None,
+    truth: Truth | None,
+) -> None:
+    """One file that needs nothing else: table and charts. OSError as `write_whole`."""
+    good = "good" if document["aligned"] else "bad"
+    node, method = document["node"], document["method"]
+    parts = [
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">',
+        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>",
+        f"<h1>{html.escape(title)}</h1>",
+        f'<p>{node}, method {method}: <b class="{good}">{html.escape(outcome(document))}</b></p>',
+    ]
+    if estimate is not None:
+        parts.append(_table(estimate, truth))
+    parts.append(f'<div class="charts">{"".join(_charts(updates, document))}</div>')
+    lines = "<br>".join(map(html.escape, footer(document)))
+    parts.append(f"<footer>{lines}</footer></body></html>\n")
+    write_text_whole(path, "\n".join(parts))
+
+
+def _table(estimate: Estimate, truth: Truth | None) -> str:
+    columns = len(HEAD) if truth else 3
+    rows = [HEAD, *result_rows(estimate, truth)]
+    cells = [
+        "".join(
+            f"<{tag}>{html.escape(cell)}</{tag}>"
+            for cell in row[:columns]
+        )
+        for tag, row in zip(["th"] + ["td"] * (len(rows) - 1), rows, strict=True)
+    ]  # fmt: skip
+    return f"<table><tr>{'</tr><tr>'.join(cells)}</tr></table>"
+
+
+def _charts(updates: Sequence[Update], document: dict[str, Any]) -> list[str]:
+    """The charts over time, from the first attitude on."""
+    used = [update for update in updates if update.estimate is not None]
+    if len(used) < 2:
+        return []
+    time = np.array([update.status.elapsed_s for update in used])
+    values = np.array([estimate_numbers(update.estimate) for update in used]).T
+    values[2] = np.rad2deg(np.unwrap(np.deg2rad(values[2])))
+    limit = document["heading_limit_arcmin"]
+    bound = Series("limit", np.full_like(time, limit)) if limit else None
+    charts = [
+        Chart("Heading [deg]", (Series("heading", values[2]),)),
+        Chart(
+            "1 sigma [arcmin]",
+            (
+                *(Series(name, values[3 + k]) for k, name in enumerate(("roll", "pitch"))),
+                Series("heading", values[5]),
+                *([bound] if bound else []),
+            ),
+            logarithmic=True,
+        ),
+        Chart("Levels [deg]", (Series("roll", values[0]), Series("pitch", values[1]))),
+    ]
+    if np.isfinite(values[6:9]).any():
+        lever = tuple(Series(axis, values[6 + k]) for k, axis in enumerate(_XYZ))
+        sigma = tuple(Series(axis, values[9 + k]) for k, axis in enumerate(_XYZ))
+        charts.append(Chart("Lever arm [m]", lever))
+        charts.append(Chart("Lever arm, 1 sigma [m]", sigma, logarithmic=True))
+    return [chart_svg(chart, time) for chart in charts]

@@ -1,0 +1,197 @@
+"""The result file: one JSON document for the live node and the replay."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from sins_align.session import Session
+from sins_align.types import Array, Estimate, InputCounts, State
+from sins_align.units import ARCMIN, DEG
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Wall time of a run [s]: in all, for reading, and for the estimation."""
+
+    wall_s: float = 0.0
+    read_s: float = 0.0
+    estimate_s: float = 0.0
+
+
+def roll_pitch_heading(q_nb: Array) -> tuple[float, float, float]:
+    """Roll, pitch and heading [rad] of a body attitude (4,); heading in [0, 2 pi).
+
+    C_nb = Rz(yaw) Ry(pitch) Rx(roll), yaw = pi/2 - heading.
+    """
+    w, x, y, z = (float(value) for value in q_nb)
+    roll = math.atan2(2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y))
+    pitch = math.asin(min(1.0, max(-1.0, 2.0 * (w * y - x * z))))
+    yaw = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    return roll, pitch, (0.5 * math.pi - yaw) % (2.0 * math.pi)
+
+
+def roll_pitch_heading_sigma(estimate: Estimate) -> Array:
+    """(3,) 1 sigma of roll, pitch and heading [rad], from the misalignment covariance.
+
+    A small rotation theta = -phi in n changes
+        d roll  = (cos yaw theta_e + sin yaw theta_n) / cos pitch
+        d pitch = -sin yaw theta_e + cos yaw theta_n
+        d yaw   = theta_u + tan pitch (cos yaw theta_e + sin yaw theta_n)
+    """
+    _, pitch, heading = roll_pitch_heading(estimate.q_nb)
+    cos_yaw, sin_yaw = math.sin(heading), math.cos(heading)
+    cos_pitch = max(math.cos(pitch), 1e-9)
+    tan_pitch = math.sin(pitch) / cos_pitch
+    J = np.array(
+        [
+            [cos_yaw / cos_pitch, sin_yaw / cos_pitch, 0.0],
+            [-sin_yaw, cos_yaw, 0.0],
+            [tan_pitch * cos_yaw, tan_pitch * sin_yaw, 1.0],
+        ]
+    )
+    sigma: Array = np.sqrt(np.diag(J @ estimate.misalignment_covariance @ J.T))
+    return sigma
+
+
+def result_document(node: str, session: Session, timing: Timing) -> dict[str, Any]:
+    """The content of result.json; what has no value is None.
+
+    Parameters
+    ----------
+    node : `swing_align` or `odo_align`
+    session : as it stands now
+    timing : of the run so far
+    """
+    status = session.status
+    counts = session.counts
+    return {
+        "schema": SCHEMA,
+        "node": node,
+        "method": session.config.method,
+        "aligned": status.state is State.ALIGNED,
+        "aligned_at_s": status.aligned_at_s,
+        "state": status.state.value,
+        "reason": status.reason,
+        "stamp_ns": counts.last_stamp_ns,
+        **_estimate_part(session.estimate),
+        "heading_limit_arcmin": _number(status.heading_limit / ARCMIN),
+        "input": _input_part(counts),
+        "timing": {
+            "wall_s": timing.wall_s,
+            "read_s": timing.read_s,
+            "estimate_s": timing.estimate_s,
+            "samples_per_s": (
+                counts.imu_samples / timing.estimate_s if timing.estimate_s > 0.0 else None
+            ),
+        },
+    }
+
+
+def _estimate_part(estimate: Estimate | None) -> dict[str, Any]:
+    part: dict[str, Any] = dict.fromkeys(
+        (
+            "q_nb_wxyz", "roll_deg", "pitch_deg", "heading_deg",
+            "misalignment_covariance_rad2", "sigma_arcmin",
+            "gyro_bias_rad_s", "gyro_bias_sigma_rad_s", "accel_bias_m_s2", "accel_bias_sigma_m_s2",
+            "lever_arm_m", "lever_arm_sigma_m", "lever_arm_observable",
+            "odometer_scale_error", "odometer_scale_sigma", "mounting_rpy_deg",
+            "consistency",
+        )
+    )  # fmt: skip
+    if estimate is None:
+        return part
+    roll, pitch, heading = (angle / DEG for angle in roll_pitch_heading(estimate.q_nb))
+    sigma = (estimate.sigma / ARCMIN).tolist()
+    part.update(
+        stamp_ns=estimate.stamp_ns,
+        q_nb_wxyz=_numbers(estimate.q_nb),
+        roll_deg=roll,
+        pitch_deg=pitch,
+        heading_deg=heading,
+        misalignment_covariance_rad2=_numbers(estimate.misalignment_covariance),
+        sigma_arcmin=dict(zip(("east", "north", "heading"), _numbers(sigma), strict=True)),
+        gyro_bias_rad_s=_numbers(estimate.gyro_bias),
+        gyro_bias_sigma_rad_s=_numbers(estimate.gyro_bias_sigma),
+        accel_bias_m_s2=_numbers(estimate.accel_bias),
+        accel_bias_sigma_m_s2=_numbers(estimate.accel_bias_sigma),
+        consistency=_number(estimate.consistency),
+    )
+    if estimate.lever_arm is not None:
+        lever_arm = estimate.lever_arm
+        part.update(
+            lever_arm_m=_numbers(lever_arm.r_b),
+            lever_arm_sigma_m=_numbers(np.sqrt(np.diag(lever_arm.covariance))),
+            lever_arm_observable=list(lever_arm.observable),
+        )
+    return part
+
+
+def _input_part(counts: InputCounts) -> dict[str, Any]:
+    return {
+        "imu_samples": counts.imu_samples,
+        "imu_rejected": counts.imu_rejected,
+        "imu_gaps": counts.imu_gaps,
+        "odom_samples": counts.odom_samples,
+        "odom_rejected": counts.odom_rejected,
+        "duration_s": counts.duration_s,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _numbers(values: Any) -> list[Any]:
+    """Nested lists of numbers, None where a value is not finite."""
+    array = np.asarray(values, dtype=float)
+    if array.ndim > 1:
+        return [_numbers(row) for row in array]
+    return [_number(value) for value in array.tolist()]
+
+
+def result_text(document: dict[str, Any]) -> str:
+    """The document as the text of result.json."""
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Write a file whole or not at all: to a temporary name beside it, then renamed.
+
+    Raises
+    ------
+    OSError : the folder is missing or not writable, or the disk is full
+    """
+    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        mask = os.umask(0)  # mkstemp makes the file private; give it the usual mode
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def write_text_whole(path: Path, text: str) -> None:
+    """`write_whole` for a text, in UTF-8."""
+    write_whole(path, lambda file: file.write(text.encode()))
+
+
+def write_result(path: Path, document: dict[str, Any]) -> None:
+    """Write result.json whole or not at all; OSError as `write_whole`."""
+    write_text_whole(path, result_text(document))

@@ -1,0 +1,52 @@
+"""The node `swing_align`: alignment on a swinging or still base."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+# Small matrices: threads cost more than they bring. It counts before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+
+from sins_align.config import swing_config
+from sins_align.ros.diagnostics import lever_arm_texts
+from sins_align.ros.messages import lever_arm_message
+from sins_align.ros.node_base import LATCHED_QOS, AlignNode
+from sins_align.ros.run_node import run_node
+from sins_align.session import Session
+from sins_align.types import Estimate
+
+NAME = "swing_align"
+
+
+class SwingAlignNode(AlignNode):
+    """Adds the lever arm to what all alignment nodes do."""
+
+    def __init__(self) -> None:
+        super().__init__(NAME, lambda values: Session(swing_config(values)))
+        self._lever_arm = self.create_publisher(
+            PoseWithCovarianceStamped, "~/lever_arm", LATCHED_QOS
+        )
+
+    def publish_update(self, estimate: Estimate, frame_id: str) -> None:
+        """Publish the lever arm."""
+        if estimate.lever_arm is not None:
+            self._lever_arm.publish(
+                lever_arm_message(estimate.stamp_ns, estimate.lever_arm, frame_id)
+            )
+
+    def diagnostic_texts(self, estimate: Estimate | None) -> dict[str, str]:
+        """The keys of the lever arm."""
+        return lever_arm_texts(estimate)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; returns its exit status."""
+    return run_node(NAME, SwingAlignNode, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
