@@ -22,6 +22,11 @@ export OPENBLAS_NUM_THREADS := 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
+# .venv brings its own ROS: where another one is sourced, the two must not mix.
+ifdef ROS_DISTRO
+unexport PYTHONPATH AMENT_PREFIX_PATH LD_LIBRARY_PATH
+endif
+
 .DELETE_ON_ERROR:
 .PHONY: venv demo test colcon bench evidence clean distclean
 
