@@ -17,7 +17,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, overload
+from typing import Any
 
 import numpy as np
 
@@ -31,22 +31,12 @@ from sins_align.ros.bags_merge import (
     merge,
 )
 from sins_align.ros.bags_open import open_path
+from sins_align.ros.bags_topics import choose_topic, describe_topics, types_of
 from sins_align.ros.bags_types import typestore_for
 from sins_align.ros.cdr import IMU_ROW, Decoder, ImuDecoder, RawDecoder, Rows
 from sins_align.types import ImuSamples, Position
 
-__all__ = ["KINDS", "Bag", "BagError", "ReadReport", "Topic", "open_bag"]
-
-KINDS = {
-    "imu": ("sensor_msgs/msg/Imu",),
-    "fix": ("sensor_msgs/msg/NavSatFix",),
-    "odom": (
-        "geometry_msgs/msg/TwistStamped",
-        "geometry_msgs/msg/TwistWithCovarianceStamped",
-        "nav_msgs/msg/Odometry",
-    ),
-}
-"""The kinds of topics that `Bag.find_topic` knows, with their message types."""
+__all__ = ["Bag", "BagError", "ReadReport", "Topic", "open_bag"]
 
 _NS = 1_000_000_000
 _PORTION = 50_000  # samples handed out at a time
@@ -114,57 +104,36 @@ class Bag:
                 path, f"{topic.name} is {topic.type}, in another file of this bag {known.type}"
             )
 
-    @overload
-    def find_topic(
-        self, kind: str, requested: str | None = None, *, optional: Literal[False] = False
-    ) -> Topic: ...
-
-    @overload
-    def find_topic(
-        self, kind: str, requested: str | None = None, *, optional: bool
-    ) -> Topic | None: ...
-
-    def find_topic(
-        self, kind: str, requested: str | None = None, *, optional: bool = False
-    ) -> Topic | None:
+    def find_topic(self, kind: str, requested: str | None = None) -> Topic:
         """The topic of a kind: the requested one, else the only one.
 
         Parameters
         ----------
-        kind : a key of `KINDS`, or a message type
+        kind : a key of `bags_topics.KINDS` ("imu", "fix", "odom"), or a message type
         requested : name of the topic, with or without the leading slash
-        optional : None instead of an error where there is no such topic or, with a warning,
-            more than one; a requested one must be there in any case
 
         Raises
         ------
-        BagError : none or several, or the requested one is missing or of another type
+        BagError : none or several, or the requested one is missing or of another type; the
+            line names the topics that are there
         """
-        types = KINDS.get(kind, (kind,))
-        what = " or ".join(name.replace("/msg/", "/") for name in types)
-        candidates = [topic for topic in self.topics.values() if topic.type in types]
-        if requested:
-            for topic in candidates:
-                if topic.name.lstrip("/") == requested.lstrip("/"):
-                    return topic
-            raise BagError(self._where, f"no {what} on {requested}; {self._describe_topics()}")
-        if len(candidates) == 1:
-            return candidates[0]
-        if candidates:
-            names = ", ".join(sorted(topic.name for topic in candidates))
-            problem = f"several topics of {what}, name one of them: {names}"
-            if not optional:
-                raise BagError(self._where, problem)
-            self.warnings.note(self._where, problem)
-        elif not optional:
-            raise BagError(self._where, f"no topic of {what}; {self._describe_topics()}")
-        return None
+        try:
+            return choose_topic(self.topics.values(), kind, requested)
+        except LookupError as error:
+            raise BagError(self._where, error.args[0]) from None
 
-    def _describe_topics(self) -> str:
-        names = sorted(
-            f"{topic.name} ({topic.type.replace('/msg/', '/')})" for topic in self.topics.values()
-        )
-        return f"there is {', '.join(names)}" if names else "there are no topics at all"
+    def find_optional_topic(self, kind: str, requested: str | None = None) -> Topic | None:
+        """As `find_topic`, but None where nothing was requested and there is none or, with a
+        warning, several.
+        """
+        try:
+            return self.find_topic(kind, requested)
+        except BagError as error:
+            if requested:
+                raise
+            if any(topic.type in types_of(kind) for topic in self.topics.values()):
+                self.warnings.append(str(error))
+            return None
 
     def read_imu(
         self,
@@ -204,11 +173,12 @@ class Bag:
         report.read_s += time.perf_counter() - begin
         if portion:
             yield _hand_out(portion, report)
-        if decoder.lost:
-            self.warnings.note(topic, f"{decoder.lost} damaged messages left out")
+        if decoder.undecodable:
+            self.warnings.note(topic, f"{decoder.undecodable} messages are not sensor_msgs/Imu")
         if not report.messages:
             part_of_it = " in the part asked for" if start_s or duration_s is not None else ""
-            raise BagError(self._where, f"no messages on {topic}{part_of_it}")
+            damaged = f", {decoder.lost} are damaged" if decoder.lost else ""
+            raise BagError(self._where, f"no messages on {topic}{part_of_it}{damaged}")
 
     def _select(
         self, batches: Iterator[Rows], start_s: float, duration_s: float | None
@@ -267,7 +237,7 @@ class Bag:
 
     def _topic(self, name: str) -> Topic:
         if name not in self.topics:
-            raise BagError(self._where, f"no topic {name}; {self._describe_topics()}")
+            raise BagError(self._where, f"no topic {name}; {describe_topics(self.topics.values())}")
         return self.topics[name]
 
     def _rows(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sqlite3
 import struct
+from collections import deque
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -19,6 +21,12 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 _BATCH = 20_000  # messages
+# sqlite3 does not keep to the types of its columns where the file is damaged.
+_TOPICS = "SELECT id, name, type FROM topics WHERE typeof(name) = 'text' AND typeof(type) = 'text'"
+_MESSAGES = (
+    "SELECT timestamp, data FROM messages"
+    " WHERE typeof(data) = 'blob' AND typeof(timestamp) = 'integer'"
+)
 _PAGE_SIZE, _PAGE_COUNT = slice(16, 18), slice(28, 32)  # in the head of an sqlite3 file
 
 
@@ -28,17 +36,22 @@ class SqliteFile:
     def __init__(self, path: Path, warnings: Warnings) -> None:
         self.path = path
         self._warnings = warnings
-        self._order = "timestamp"
-        if _is_cut(path):
-            # Of a cut file the first rows are there, the index on the time is not.
-            self._order = "id"
+        self._cut_page = _page_size_if_cut(path)
+        # Of a cut file the first rows are there, the index on the time is not.
+        self._order = "id" if self._cut_page else "timestamp"
+        if self._cut_page:
             warnings.note(path, "the file is cut off; what followed is lost")
         # A read-only medium has no room for the files that locking needs.
         uri = f"{path.absolute().as_uri()}?immutable=1"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         try:
+            if self._cut_page:  # else sqlite3 refuses a file with too few pages
+                self._database.execute("PRAGMA writable_schema = ON")
             self._ids, self.topics = self._list_topics()
-            self.start, self.end = self._first("ASC"), self._first("DESC")
+            self.start = self.end = self._first("ASC")
+            # A cut file lacks its end.
+            with suppress(sqlite3.DatabaseError):
+                self.end = self._first("DESC")
         except sqlite3.DatabaseError as error:
             self._database.close()
             raise BagError(path, f"no readable rosbag2 database: {error}") from error
@@ -60,7 +73,7 @@ class SqliteFile:
             definitions = dict(self._database.execute(query + " WHERE encoding = 'ros2msg'"))
         ids: dict[str, list[int]] = {}
         topics: dict[str, Topic] = {}
-        for key, name, kind in self._database.execute("SELECT id, name, type FROM topics"):
+        for key, name, kind in self._database.execute(_TOPICS):
             ids.setdefault(name, []).append(key)
             topics[name] = Topic(name, kind, False, definitions.get(kind, ""))
         return ids, list(topics.values())
@@ -68,20 +81,16 @@ class SqliteFile:
     def _first(self, direction: str) -> int:
         """Log time of the first message in the order, 0 if there is none."""
         query = f"SELECT timestamp FROM messages ORDER BY {self._order} {direction} LIMIT 1"
-        try:
-            row = self._database.execute(query).fetchone()
-        except sqlite3.DatabaseError:
-            if direction == "ASC":
-                raise
-            return self.start  # the end of a cut file is not there
-        return int(row[0]) if row else 0
+        row = self._database.execute(query).fetchone()
+        return row[0] if row and isinstance(row[0], int) else 0
 
     def _rows(self, ids: list[int], decoder: Decoder) -> Iterator[Rows]:
         marks = ",".join("?" * len(ids))
-        query = f"SELECT timestamp, data FROM messages WHERE topic_id IN ({marks})"
+        query = f"{_MESSAGES} AND topic_id IN ({marks}) ORDER BY {self._order}"
         try:
-            cursor = self._database.execute(f"{query} ORDER BY {self._order}", ids)
-            yield from _decode(cursor, decoder, sqlite3.DatabaseError)
+            cursor = self._database.execute(query, ids)
+            messages = _before_cut(cursor, self._cut_page) if self._cut_page else cursor
+            yield from _decode(messages, decoder, sqlite3.DatabaseError)
         except sqlite3.DatabaseError as error:
             self._warnings.note(self.path, f"{error}; what followed is lost")
 
@@ -144,10 +153,19 @@ def _decode(
     raise failure
 
 
-def _is_cut(path: Path) -> bool:
-    """Whether an sqlite3 file has fewer pages than its head states."""
+def _before_cut(messages: Iterator[tuple[int, bytes]], page: int) -> Iterator[tuple[int, bytes]]:
+    """All but those that may stand in the last page, the rest of which reads as zeros."""
+    held: deque[tuple[int, bytes]] = deque()
+    for message in messages:
+        held.append(message)
+        if len(held) > page // max(len(message[1]), 1) + 1:
+            yield held.popleft()
+
+
+def _page_size_if_cut(path: Path) -> int:
+    """Page size of an sqlite3 file with fewer pages than its head states [bytes], else 0."""
     with path.open("rb") as file:
         head = file.read(100)
-    page = int.from_bytes(head[_PAGE_SIZE], "big")
-    count = int.from_bytes(head[_PAGE_COUNT], "big")
-    return path.stat().st_size < (65536 if page == 1 else page) * count
+    stated = int.from_bytes(head[_PAGE_SIZE], "big")
+    page = 65536 if stated == 1 else stated
+    return page if path.stat().st_size < page * int.from_bytes(head[_PAGE_COUNT], "big") else 0

@@ -11,6 +11,7 @@ https://mcap.dev/spec
 from __future__ import annotations
 
 import struct
+from bisect import bisect_right
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.ros.bags_mcap_chunk import (
+    MESSAGE,
     MESSAGE_HEAD,
     RECORD_HEAD,
     Chunk,
@@ -35,8 +37,11 @@ from sins_align.types import IntArray
 
 MAGIC = b"\x89MCAP0\r\n"
 
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x05, 0x06, 0x07
-_DATA_END = 0x0F
+_FOOTER, _SCHEMA, _CHANNEL, _CHUNK, _MESSAGE_INDEX = 0x02, 0x03, 0x04, 0x06, 0x07
+_CHUNK_INDEX, _DATA_END = 0x08, 0x0F
+_FOOTER_HEAD = RECORD_HEAD.pack(_FOOTER, 20)
+_FOOTER_SIZE = len(_FOOTER_HEAD) + 20 + len(MAGIC)
+_CHUNK_START = 16  # where it stands in a chunk index record
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, crc, length of the compression's name
 _LOG_TIME = 6  # where it stands in a message record
 _STRETCH_SIZE = 1 << 20  # of messages outside of chunks [bytes]
@@ -59,6 +64,7 @@ class McapFile:
         self._schemas: dict[int, tuple[str, str]] = {}
         self._channels: dict[int, _Channel] = {}
         self._chunks: list[Chunk] = []
+        self.ending = "which is complete"
         self._walk_file()
         for chunk in self._chunks:
             if not chunk.entries or chunk.entries.keys() - self._channels.keys():
@@ -87,14 +93,13 @@ class McapFile:
     def _walk_file(self) -> None:
         """Note where the chunks are, and what channels there are."""
         position = len(MAGIC)
+        starts = self._read_chunk_starts()
         stretch: tuple[int, int, int] | None = None  # position, first and last log time
         complete = False
         while True:
-            head = self._read(position, RECORD_HEAD.size)
-            opcode, length = RECORD_HEAD.unpack(head) if len(head) == RECORD_HEAD.size else (0, 0)
-            body = position + RECORD_HEAD.size
-            end = body + length
-            fits = opcode != 0 and end <= self._size
+            opcode, body, end = self._read_head(position)
+            resume = next((start for start in starts[bisect_right(starts, position) :]), 0)
+            fits = opcode != 0 and end <= (resume or self._size)
             if stretch is not None and (
                 opcode in (_CHUNK, _DATA_END, _FOOTER)
                 or not fits
@@ -102,23 +107,54 @@ class McapFile:
             ):
                 self._add_stretch(*stretch, position)
                 stretch = None
+            if not fits and not complete and self._chunks:
+                self._chunks[-1].entries.clear()  # those of some channels may be missing
+            if not fits and resume:
+                self._warnings.note(self.path, f"damaged from byte {position} to {resume}")
+                position = resume
+                continue
             if not fits or opcode == _FOOTER:
                 break
             complete = complete or opcode == _DATA_END
-            if opcode == _MESSAGE:
+            if opcode == MESSAGE:
                 (time,) = struct.unpack("<Q", self._read(body + _LOG_TIME, 8).ljust(8, b"\0"))
                 begin, first, last = stretch or (position, time, time)
                 stretch = begin, min(first, time), max(last, time)
             else:
-                self._take_record(opcode, body, length)
+                self._take_record(opcode, body, end - body)
             position = end
-        if opcode == _CHUNK:  # the file ends in it
-            self._add_chunk(body, self._size - body, cut=True)
-        elif not fits and not complete and self._chunks:
-            self._chunks[-1].entries.clear()  # those of some channels may be cut off
         if not fits:
-            lost = "nothing" if complete else "what followed"
-            self._warnings.note(self.path, f"ends without a footer at byte {position}; {lost} lost")
+            self._note_ending(opcode, position, complete)
+
+    def _note_ending(self, opcode: int, position: int, complete: bool) -> None:
+        """The file ends in the record at `position`; `complete`: behind all the messages."""
+        if opcode == _CHUNK:
+            body = position + RECORD_HEAD.size
+            self._add_chunk(body, self._size - body, cut=True)
+        lost = "nothing" if complete else "what followed"
+        self.ending = f"which ends without a footer at byte {position}; {lost} is lost"
+        self._warnings.note(self.path, f"an MCAP file {self.ending}")
+
+    def _read_head(self, position: int) -> tuple[int, int, int]:
+        """Opcode of a record, where its content begins and ends; opcode 0: there is none."""
+        data = self._read(position, RECORD_HEAD.size)
+        opcode, length = RECORD_HEAD.unpack(data) if len(data) == RECORD_HEAD.size else (0, 0)
+        body = position + RECORD_HEAD.size
+        return opcode, body, body + length
+
+    def _read_chunk_starts(self) -> list[int]:
+        """Where the summary, if there is one, says that chunks begin: to resume at."""
+        footer = self._read(max(self._size - _FOOTER_SIZE, 0), _FOOTER_SIZE)
+        if not (footer.startswith(_FOOTER_HEAD) and footer.endswith(MAGIC)):
+            return []
+        (position,) = struct.unpack_from("<Q", footer, len(_FOOTER_HEAD))
+        starts: list[int] = []
+        while 0 < position < self._size - _FOOTER_SIZE:
+            opcode, body, end = self._read_head(position)
+            if opcode == _CHUNK_INDEX and end - body >= _CHUNK_START + 8:
+                starts += struct.unpack("<Q", self._read(body + _CHUNK_START, 8))
+            position = end
+        return sorted(start for start in starts if start < self._size)
 
     def _take_record(self, opcode: int, body: int, length: int) -> None:
         if opcode == _CHUNK:
@@ -141,19 +177,19 @@ class McapFile:
             start, end, uncompressed_size, crc, name_length = _CHUNK_HEAD.unpack_from(data)
             compression = data[fixed : fixed + name_length].decode()
             (size,) = struct.unpack_from("<Q", data, fixed + name_length)
+            position = body + fixed + name_length + 8
+            if position + size > body + length and not cut:
+                raise struct.error("the content goes beyond the chunk")
         except (struct.error, UnicodeDecodeError):
-            if not cut:  # of a cut one the end of the file tells
-                self._warnings.note(self.path, f"the chunk at byte {body} is lost: its head")
+            if not cut:  # keeps the message index that follows, for it tells what is lost
+                last = self._chunks[-1].end if self._chunks else 0
+                self._chunks.append(Chunk(body, 0, last, last, "", -1, 0, False, {}))
             return
-        position = body + fixed + name_length + 8
-        available = body + length - position
-        if size > available and not cut:
-            self._warnings.note(self.path, f"the chunk at byte {body} is lost: its size")
-            return
+        size = min(size, body + length - position)
+        crc = 0 if cut else crc
         self._chunks.append(
-            Chunk(position, min(size, available), start, end, compression, uncompressed_size,
-                   0 if cut else crc, cut, {})
-        )  # fmt: skip
+            Chunk(position, size, start, end, compression, uncompressed_size, crc, cut, {})
+        )
 
     def _define(self, opcode: int, data: bytes | memoryview) -> None:
         """Take in the content of a Schema or Channel record."""
@@ -205,29 +241,32 @@ class McapFile:
             return
         buffer = np.frombuffer(content, np.uint8)
         if chunk.entries:
-            offset = self._indexed(chunk, ids)
+            offset, log_time = self._indexed(chunk, ids)
+            offset, head = message_heads(buffer, offset, ids, log_time)
         else:
             offset, whole = find_messages(content)
+            offset, head = message_heads(buffer, offset, ids)
             if not whole and not chunk.cut:
                 self._warnings.note(self.path, f"{where} is damaged; what follows in it is lost")
-        offset, head = message_heads(buffer, offset, ids)
         if len(offset) < expected:
             missing = expected - len(offset)
             decoder.lost += missing
             self._warnings.note(self.path, f"{where} is damaged: {missing} messages lost")
         size = head["length"].astype(np.int64) - (MESSAGE_HEAD.itemsize - RECORD_HEAD.size)
-        log_time = head["times"][:, 0].astype(np.int64)
+        log_time = head["log_time"].astype(np.int64)
         yield sort_rows(decoder(buffer, offset + MESSAGE_HEAD.itemsize, size, log_time))
 
-    def _indexed(self, chunk: Chunk, ids: set[int]) -> IntArray:
-        """Where the message index says that the messages begin in the content."""
+    def _indexed(self, chunk: Chunk, ids: set[int]) -> tuple[IntArray, IntArray]:
+        """Where in the content the messages begin, and their log time, says the index."""
         entries = [
-            np.frombuffer(self._read(position, 16 * count), "<u8")[1::2]
+            np.frombuffer(self._read(position, 16 * count), "<i8").reshape(-1, 2)
             for key, (position, count) in chunk.entries.items()
             if key in ids
         ]
-        offset = np.concatenate(entries)
-        return np.sort(offset[offset < chunk.uncompressed_size].astype(np.int64))
+        times_offsets = np.concatenate(entries)
+        if len(entries) > 1:
+            times_offsets = times_offsets[np.argsort(times_offsets[:, 1])]
+        return times_offsets[:, 1], times_offsets[:, 0]
 
 
 def open_mcap(path: Path, warnings: Warnings) -> McapFile:
@@ -235,5 +274,5 @@ def open_mcap(path: Path, warnings: Warnings) -> McapFile:
     file = McapFile(path, warnings)
     if not file.topics:
         file.close()
-        raise BagError(path, "no ROS messages in this MCAP file")
+        raise BagError(path, f"no ROS topics in this MCAP file, {file.ending}")
     return file

@@ -15,9 +15,16 @@ from sins_align.types import IntArray
 MESSAGE = 0x05  # opcode
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE_HEAD = np.dtype(
-    [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("times", "2<u8")]
+    [
+        ("op", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<i8"),
+        ("publish_time", "<i8"),
+    ]
 )
-_MAX_SIZE = 1 << 30  # of a chunk, more than any recorder writes: the size itself is damaged
+_MAX_SIZE = 1 << 30  # of a chunk, more than any recorder writes
 
 
 class DamagedError(Exception):
@@ -43,8 +50,8 @@ def chunk_content(chunk: Chunk, data: bytes) -> bytes:
 
     Raises DamagedError when they are not what was written.
     """
-    if chunk.uncompressed_size > _MAX_SIZE:
-        raise DamagedError("its size is damaged")
+    if not 0 <= chunk.uncompressed_size <= _MAX_SIZE:
+        raise DamagedError("its head is damaged")
     content = _decompress(data, chunk)
     if chunk.cut:
         return content
@@ -102,9 +109,15 @@ def find_messages(content: bytes) -> tuple[IntArray, bool]:
     return np.array(found, np.int64), end == len(content)
 
 
-def message_heads(buffer: Bytes, offset: IntArray, ids: set[int]) -> tuple[IntArray, Rows]:
-    """Of the offsets those at which a message of one of the channels stands, and its head."""
-    offset = offset[offset + MESSAGE_HEAD.itemsize <= len(buffer)]
+def message_heads(
+    buffer: Bytes, offset: IntArray, ids: set[int], log_time: IntArray | None = None
+) -> tuple[IntArray, Rows]:
+    """Of the offsets those at which a message of one of the channels stands, and its head.
+
+    log_time : of the message at each offset, where it is known [ns]
+    """
+    inside = (offset >= 0) & (offset <= len(buffer) - MESSAGE_HEAD.itemsize)
+    offset = offset[inside]
     view: Rows = np.ndarray(
         max(len(buffer) - MESSAGE_HEAD.itemsize + 1, 0), MESSAGE_HEAD, buffer, strides=(1,)
     )
@@ -116,6 +129,8 @@ def message_heads(buffer: Bytes, offset: IntArray, ids: set[int]) -> tuple[IntAr
         & (length >= MESSAGE_HEAD.itemsize - RECORD_HEAD.size)
         & (length <= (len(buffer) - RECORD_HEAD.size - offset).astype(np.uint64))
     )
+    if log_time is not None:
+        good &= head["log_time"] == log_time[inside]
     return (offset, head) if good.all() else (offset[good], head[good])
 
 

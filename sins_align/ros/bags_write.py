@@ -56,6 +56,8 @@ class BagWriter:
         self._bare = path.suffix == _SUFFIX[storage]
         if self._bare and storage == "sqlite3" and compression != "none":
             raise BagError(path, "a compressed sqlite3 bag must be a folder")
+        if storage == "sqlite3" and set("?#%") & set(str(path.absolute())):
+            raise BagError(path, "sqlite3 bags cannot be written to a path with ?, # or % in it")
         self._compressed = compression == "zstd"
         self._connections: dict[tuple[str, str], Connection] = {}
         self._folder: Path | None = None

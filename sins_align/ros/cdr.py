@@ -70,12 +70,14 @@ class RawDecoder:
 class ImuDecoder:
     """Decodes sensor_msgs/Imu with numpy, in groups of one byte order and one frame_id length.
 
-    lost : payloads that are no Imu message
+    lost : messages that are not in the rows, for whatever reason
+    undecodable : of them those that are no Imu message
     frame_ids : those seen so far
     """
 
     def __init__(self, *, ros1: bool = False) -> None:
         self.lost = 0
+        self.undecodable = 0
         self.frame_ids: set[str] = set()
         self._ros1 = ros1
 
@@ -96,7 +98,9 @@ class ImuDecoder:
                     self._decode(buffer, offset, size, rows, decoded, candidates[some], words, big)
         if decoded.all():
             return rows
-        self.lost += int(count - decoded.sum())
+        undecodable = int(count - decoded.sum())
+        self.undecodable += undecodable
+        self.lost += undecodable
         return rows[decoded]
 
     def _decode(
