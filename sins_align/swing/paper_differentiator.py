@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +20,12 @@ class Differentiator(Protocol):
         w (3, N+2) [rad/s]. The first inner stamp is the last inner one of the stretch before.
         """
 
+    def lag(self, h: float) -> float:
+        """How late the derivative of a slow signal is, for samples every h [s]: [s]."""
+
+    def noise_gain(self, h: float) -> float:
+        """1 sigma of the derivative for white noise of 1 in the samples [1/s]."""
+
 
 class CentralDifference:
     """(w_{k+1} - w_{k-1}) / (t_{k+1} - t_{k-1}): no lag, half the noise of the observer."""
@@ -27,6 +34,14 @@ class CentralDifference:
         """As `Differentiator`."""
         slope: Array = (w[:, 2:] - w[:, :-2]) / (t[2:] - t[:-2])
         return slope
+
+    def lag(self, h: float) -> float:
+        """None: the difference is centred."""
+        return 0.0
+
+    def noise_gain(self, h: float) -> float:
+        """As `Differentiator`."""
+        return math.sqrt(0.5) / h
 
 
 class ExtendedStateObserver:
@@ -40,7 +55,6 @@ class ExtendedStateObserver:
 
     which at the paper's b = 1000, h = 1 ms is (w_k - w_{k-1}) / h: no filtering of noise,
     and half a sample of lag, which turns the lever arm about the axis of a coning motion.
-    The lag at other settings is (2 / (b h) - 3/2) samples.
 
     Parameters
     ----------
@@ -56,7 +70,7 @@ class ExtendedStateObserver:
     def __call__(self, t: Array, w: Array) -> Array:
         """As `Differentiator`; h is the mean interval of the stretch."""
         h = float(t[-1] - t[0]) / (t.size - 1)
-        gain = 1.0 if self._bandwidth is None else min(self._bandwidth * h, 1.0)
+        gain = self._gain(h)
         pole = 1.0 - gain
         # At rest before the first sample; later, the first inner sample has been taken in.
         first = 0 if self._last is None else 1
@@ -70,6 +84,19 @@ class ExtendedStateObserver:
             slope = np.concatenate((self._last, slope), axis=1)
         self._last = slope[:, -1:]
         return np.asarray(slope)
+
+    def _gain(self, h: float) -> float:
+        """Bandwidth times h: one minus the poles."""
+        return 1.0 if self._bandwidth is None else min(self._bandwidth * h, 1.0)
+
+    def lag(self, h: float) -> float:
+        """Half a sample of the difference, and (1 - b h) / (b h) of each pole."""
+        return (2.0 / self._gain(h) - 1.5) * h
+
+    def noise_gain(self, h: float) -> float:
+        """The square root of the energy of the impulse response."""
+        gain = self._gain(h)
+        return math.sqrt(2.0 * (gain / (2.0 - gain)) ** 3) / h
 
 
 def make_differentiator(name: str, bandwidth: float | None) -> Differentiator:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sins_align.rotation import skew
 from sins_align.types import Array, LeverArm
@@ -34,6 +35,19 @@ def level_matrix(C_nb: Array, gravity: float) -> Array:
     return gravity * np.stack((-C_nb[1], C_nb[0]), axis=-1).transpose(1, 0, 2)
 
 
+class RegressionNoise(NamedTuple):
+    """What one sample is wrong by.
+
+    force : 1 sigma of the specific force [m/s^2]
+    slope : 1 sigma of the angular acceleration [rad/s^2]
+    lag : of the angular acceleration [s]
+    """
+
+    force: float
+    slope: float
+    lag: float
+
+
 class LeverSolution(NamedTuple):
     """What the least squares say.
 
@@ -56,8 +70,7 @@ class LeverRegression:
     gravity : [m/s^2]
     misaligned : with the columns H2 ('epls') or without ('ls')
     prior, prior_sigma : (3,) lever arm and its 1 sigma per axis [m]
-    force_noise, slope_noise : 1 sigma of one sample of specific force [m/s^2] and of
-        angular acceleration [rad/s^2]
+    noise : of the samples
     """
 
     def __init__(
@@ -66,15 +79,16 @@ class LeverRegression:
         misaligned: bool,
         prior: Array,
         prior_sigma: float,
-        force_noise: float,
-        slope_noise: float,
+        noise: RegressionNoise,
     ) -> None:
         self._gravity = gravity
         self._misaligned = misaligned
         self._prior = prior
         self._prior_sigma = prior_sigma
-        self._force_noise = max(force_noise, _FORCE_FLOOR)
-        self._slope_noise = slope_noise
+        self._force_noise = max(noise.force, _FORCE_FLOOR)
+        # Noise of dw alone makes each diagonal element of [dw x]^T [dw x] twice its square.
+        self._feigned = 2.0 * noise.slope**2
+        self._lag = noise.lag
         self.restart()
 
     def restart(self) -> None:
@@ -82,37 +96,43 @@ class LeverRegression:
         size = 5 if self._misaligned else 3
         self._matrix = np.zeros((size, size))
         self._vector = np.zeros(size)
+        self._lagging = np.zeros((size, 3))
         self._square = 0.0
         self._count = 0
 
-    def add(self, C_nb: Array, w_ib_b: Array, dw_ib_b: Array, f_ib_b: Array) -> None:
-        """Take in N samples: C_nb (3, 3, N) estimated, the others (3, N)."""
+    def add(
+        self, C_nb: Array, w_ib_b: Array, dw_ib_b: Array, f_ib_b: Array, ddw_ib_b: Array
+    ) -> None:
+        """Take in N samples: C_nb (3, 3, N) estimated, the others (3, N).
+
+        The second derivative of the rate only tells what the lag of the first one does.
+        """
         H = lever_matrix(w_ib_b, dw_ib_b)
         if self._misaligned:
             H = np.concatenate((H, level_matrix(C_nb, self._gravity)), axis=2)
         # C_bn g_n with g_n = (0, 0, -g). The prior's part is taken off, so that it stands at 0.
         y = (f_ib_b - self._gravity * C_nb[2]).T - H[:, :, :3] @ self._prior
         H = H.reshape(-1, H.shape[2])
+        self._lagging += H.T @ (self._lag * skew(ddw_ib_b.T)).reshape(-1, 3)
         self._matrix += H.T @ H
         self._vector += H.T @ y.ravel()
         self._square += float(np.sum(y * y))
         self._count += y.shape[0]
 
-    def _observable(self) -> Array:
+    def _observable(self) -> NDArray[np.bool_]:
         """(3,) which axes the motion tells about, the other unknowns being free."""
         if self._count == 0:
-            return np.zeros(3, dtype=bool)
+            return np.zeros(3, dtype=np.bool_)
         held = self._matrix + np.diag(np.full(self._vector.size, 1e-12 * self._count))
         excitation = 1.0 / (np.diag(np.linalg.inv(held))[:3] * self._count)
-        # Noise of dw alone makes every diagonal element of [dw x]^T [dw x] twice its square.
-        floor = 2.0 * self._slope_noise**2 + 2e-12
-        return np.asarray(excitation > _EXCITATION**2 * floor)
+        return np.asarray(excitation > _EXCITATION**2 * (self._feigned + 2e-12), dtype=np.bool_)
 
     def solve(self) -> LeverSolution:
         """Lever arm and level misalignment; without data, the prior and zeros.
 
-        The covariance is scaled by the residuals and covers neither the lag of the observer
-        nor noise in the regressors.
+        The covariance is that of the least squares, scaled by the residuals, and on top of it
+        the squares of two biases: what the lag of the derivative does, and what its noise
+        does, which as noise of the regressors draws the lever arm toward its prior.
         """
         observable = self._observable()
         prior_sigma = max(self._prior_sigma, _FROZEN_SIGMA)
@@ -125,8 +145,16 @@ class LeverRegression:
         freedom = max(3 * self._count - solution.size, 1)
         residual = (self._square - solution @ self._vector) / freedom
         variance = max(float(residual), self._force_noise**2)
-        covariance = variance * np.linalg.inv(matrix)[:3, :3]
+        inverse = np.linalg.inv(matrix)
+        lever_arm = self._prior + solution[:3]
+        covariance = variance * inverse[:3, :3]
+        covariance += _square_of(inverse[:3] @ self._lagging @ lever_arm)
+        covariance += _square_of(inverse[:3, :3] @ solution[:3] * (self._count * self._feigned))
         covariance[~observable, ~observable] = self._prior_sigma**2
         x, y, z = (bool(axis) for axis in observable)
-        lever = LeverArm(self._prior + solution[:3], covariance, (x, y, z))
+        lever = LeverArm(lever_arm, covariance, (x, y, z))
         return LeverSolution(lever, solution[3:] if self._misaligned else np.zeros(2))
+
+
+def _square_of(bias: Array) -> Array:
+    return np.outer(bias, bias)

@@ -18,6 +18,23 @@ FILTER_STEP_S = 0.1
 NAVIGATION_STEP_S = 0.004
 
 
+class Motion(NamedTuple):
+    """A navigated stretch of N + 1 stamps.
+
+    t : (N+1,) from its first stamp [s]
+    Q : (4, N+1) attitude, C_nb : (3, 3, N+1) the same
+    w_ib_b, dw_ib_b : (3, N+1) rate and its derivative [rad/s], [rad/s^2]
+    f_ib_b : (3, N+1) specific force [m/s^2]
+    """
+
+    t: Array
+    Q: Array
+    C_nb: Array
+    w_ib_b: Array
+    dw_ib_b: Array
+    f_ib_b: Array
+
+
 class Grid(NamedTuple):
     """Indices into the stamps of a stretch.
 

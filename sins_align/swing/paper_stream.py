@@ -70,7 +70,8 @@ class SampleStream:
             return block
         return ImuBlock(
             np.concatenate((held.stamp_ns, block.stamp_ns[1:])),
-            *(np.concatenate((a, b[:, 1:]), axis=1) for a, b in zip(held[1:], block[1:])),
+            np.concatenate((held.w_ib_b, block.w_ib_b[:, 1:]), axis=1),
+            np.concatenate((held.f_ib_b, block.f_ib_b[:, 1:]), axis=1),
         )
 
     def _at_stamps(self, values: Array) -> Array:
