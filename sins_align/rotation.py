@@ -27,6 +27,21 @@ def skew(v: Array) -> Array:
     return matrix
 
 
+def unskew(M: Array) -> Array:
+    """v of the antisymmetric part [v x] of M; M (..., 3, 3), result (..., 3).
+
+    Of a rotation by a small angle it is the rotation vector, to third order.
+    """
+    return 0.5 * np.stack(
+        (
+            M[..., 2, 1] - M[..., 1, 2],
+            M[..., 0, 2] - M[..., 2, 0],
+            M[..., 1, 0] - M[..., 0, 1],
+        ),
+        axis=-1,
+    )
+
+
 def cross(a: Array, b: Array) -> Array:
     """a x b column by column, (3, N) each; quicker than numpy.cross."""
     return np.stack(

@@ -30,11 +30,9 @@ from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverExcitation
 from sins_align.swing.solution import (
     KAPPA,
-    SIZE,
     X_BA,
     X_BG,
     X_R,
-    Prior,
     Solution,
     Solver,
     make_prior,
@@ -44,7 +42,6 @@ from sins_align.swing.two_stage import (
     DATA,
     DRIFT,
     PHI,
-    THETA,
     GravityModel,
     Linearisation,
     NoiseModel,
@@ -92,6 +89,14 @@ class InertialAligner:
             drift_time_s=grade.gyro_bias_correlation_s,
             position=max(config.position_noise, LEAST_POSITION_NOISE),
             walk=config.position_walk,
+            calibration=max(grade.gyro_scale, grade.accel_scale, grade.misalignment) > 0.0,
+        )
+        self._prior = make_prior(
+            config.lever_arm_prior,
+            config.lever_arm_prior_sigma,
+            grade,
+            GRAVITY_ANOMALY if grade.accel_bias > 0.0 else 0.0,
+            self._noise.calibration,
         )
         self._excitation = LeverExcitation(self._noise.gyro)
         self._epochs = Epochs()
@@ -103,7 +108,6 @@ class InertialAligner:
         self._stamp_ns = 0
         self._next_refresh_s = REFRESH_S[0]
         self._next_cycle_s = 0.0
-        self._mean_force_b = np.zeros(3)
 
     def update(self, block: ImuBlock) -> None:
         """Take in the next block of samples."""
@@ -112,8 +116,6 @@ class InertialAligner:
         self._excitation.update(self._epochs)
         self._stamp_ns = int(block.stamp_ns[-1])
         now = float(self._epochs.time_s[-1])
-        share = float(windows.duration_s.sum()) / now
-        self._mean_force_b += share * (block.f_ib_b.mean(axis=1) - self._mean_force_b)
         # Half a block of grace: the ends of blocks fall on stamps, not on the grid itself.
         if now > self._next_refresh_s - 0.5:
             later = [t for t in REFRESH_S if t > now + 0.5]
@@ -163,14 +165,14 @@ class InertialAligner:
         up = self._epochs.u.sum(axis=0)
         up /= np.linalg.norm(up)
         level = _any_rotation_with_up(up)
-        prior = self._prior()
-        self._about = Linearisation(level, np.zeros(3), np.zeros(THETA))
+        self._about = Linearisation(level, np.zeros(3), np.zeros(self._noise.theta_size))
         self._filter, self._filtered = TwoStageFilter(self._noise), 0
         self._solution = None
         self._advance()
-        R = start_attitude(self._filter.normal, prior)
+        R = start_attitude(self._filter.normal, self._prior)
         if R is not None:
-            first = Solution(R, prior.mean, np.zeros((SIZE, SIZE)))
+            nothing = np.zeros((self._prior.mean.shape[0],) * 2)
+            first = Solution(R, self._prior.mean, nothing)
             self._solution = self._solver().solve(self._filter.normal, first)
 
     def _advance(self) -> None:
@@ -181,24 +183,8 @@ class InertialAligner:
         self._filter.run(steps, theta)
         self._filtered = len(self._epochs)
 
-    def _prior(self) -> Prior:
-        """Scale errors and misalignments of the accelerometers act as biases under gravity."""
-        grade, config = self._config.grade, self._config
-        along = self._mean_force_b**2
-        across = along.sum() - along
-        variance = (
-            grade.accel_bias**2 + grade.accel_scale**2 * along + grade.misalignment**2 * across
-        )
-        return make_prior(
-            config.lever_arm_prior,
-            config.lever_arm_prior_sigma,
-            grade.gyro_bias,
-            np.sqrt(variance),
-            GRAVITY_ANOMALY if grade.accel_bias > 0.0 else 0.0,
-        )
-
     def _solver(self) -> Solver:
-        return Solver(self._prior(), self._excitation.free_directions())
+        return Solver(self._prior, self._excitation.free_directions())
 
     def _is_coarse(self, solution: Solution) -> bool:
         """Whether heading is known well enough to be spoken of."""
@@ -219,7 +205,7 @@ class InertialAligner:
         solution, filter_ = self._solution, self._filter
         assert solution is not None
         theta = solution.theta
-        x = filter_.X[:, :THETA] @ theta + filter_.X[:, DATA]
+        x = filter_.X[:, :-1] @ theta + filter_.X[:, DATA]
         bias = theta[15:18] + (x[DRIFT] if self._noise.drift > 0.0 else 0.0)
         # The random part is that of the last cycle; since then the bias has gone on.
         phi = x[PHI] - self._epochs.B[self._filtered :].sum(axis=0) @ bias
@@ -228,14 +214,14 @@ class InertialAligner:
         C_nb0 = exp_rotation(-self._earth_rate_n * t) @ solution.R.T
         C_nb = C_nb0 @ exp_rotation(phi) @ C_b0b
         # Error of the whole, in b0: the filter's own, its response to x, and kappa.
-        J = filter_.X[:, :THETA] @ solution.jacobian()
+        J = filter_.X[:, :-1] @ solution.jacobian()
         response = J[PHI].copy()
         response[:, KAPPA] -= np.eye(3)
         unfiltered_s = t - float(self._epochs.time_s[self._filtered])
         P = filter_.P[PHI, PHI] + response @ solution.covariance @ response.T
         P += self._noise.gyro**2 * unfiltered_s * np.eye(3)
         P_n = C_nb0 @ P @ C_nb0.T
-        bias_response = np.zeros((3, SIZE))
+        bias_response = np.zeros((3, solution.x.shape[0]))
         bias_response[:, X_BG] = np.eye(3)
         bias_variance = np.zeros(3)
         if self._noise.drift > 0.0:

@@ -97,6 +97,7 @@ class PaperAligner:
         density = 1.0 / math.sqrt(interval)
         noise = RegressionNoise(
             self._grade.accel_vrw * density,
+            self._grade.accel_bias,
             self._grade.gyro_arw * density * self._differentiate.noise_gain(interval),
             self._differentiate.lag(interval),
         )

@@ -39,11 +39,13 @@ class RegressionNoise(NamedTuple):
     """What one sample is wrong by.
 
     force : 1 sigma of the specific force [m/s^2]
+    bias : 1 sigma of the constant part of the specific force, per axis [m/s^2]
     slope : 1 sigma of the angular acceleration [rad/s^2]
     lag : of the angular acceleration [s]
     """
 
     force: float
+    bias: float
     slope: float
     lag: float
 
@@ -89,6 +91,7 @@ class LeverRegression:
         # Noise of dw alone makes each diagonal element of [dw x]^T [dw x] twice its square.
         self._feigned = 2.0 * noise.slope**2
         self._lag = noise.lag
+        self._bias_variance = noise.bias**2
         self.restart()
 
     def restart(self) -> None:
@@ -97,6 +100,7 @@ class LeverRegression:
         self._matrix = np.zeros((size, size))
         self._vector = np.zeros(size)
         self._lagging = np.zeros((size, 3))
+        self._biased = np.zeros((size, 3))
         self._square = 0.0
         self._count = 0
 
@@ -112,6 +116,7 @@ class LeverRegression:
             H = np.concatenate((H, level_matrix(C_nb, self._gravity)), axis=2)
         # C_bn g_n with g_n = (0, 0, -g). The prior's part is taken off, so that it stands at 0.
         y = (f_ib_b - self._gravity * C_nb[2]).T - H[:, :, :3] @ self._prior
+        self._biased += H.sum(axis=0).T
         H = H.reshape(-1, H.shape[2])
         self._lagging += H.T @ (self._lag * skew(ddw_ib_b.T)).reshape(-1, 3)
         self._matrix += H.T @ H
@@ -131,8 +136,9 @@ class LeverRegression:
         """Lever arm and level misalignment; without data, the prior and zeros.
 
         The covariance is that of the least squares, scaled by the residuals, and on top of it
-        the squares of two biases: what the lag of the derivative does, and what its noise
-        does, which as noise of the regressors draws the lever arm toward its prior.
+        what constant accelerometer biases do, and the squares of two known errors: what the
+        lag of the derivative does, and what its noise does, which as noise of the regressors
+        draws the lever arm toward its prior.
         """
         observable = self._observable()
         prior_sigma = max(self._prior_sigma, _FROZEN_SIGMA)
@@ -148,6 +154,8 @@ class LeverRegression:
         inverse = np.linalg.inv(matrix)
         lever_arm = self._prior + solution[:3]
         covariance = variance * inverse[:3, :3]
+        by_bias = inverse[:3] @ self._biased
+        covariance += self._bias_variance * by_bias @ by_bias.T
         covariance += _square_of(inverse[:3] @ self._lagging @ lever_arm)
         covariance += _square_of(inverse[:3, :3] @ solution[:3] * (self._count * self._feigned))
         covariance[~observable, ~observable] = self._prior_sigma**2
@@ -156,5 +164,5 @@ class LeverRegression:
         return LeverSolution(lever, solution[3:] if self._misaligned else np.zeros(2))
 
 
-def _square_of(bias: Array) -> Array:
-    return np.outer(bias, bias)
+def _square_of(error: Array) -> Array:
+    return np.outer(error, error)

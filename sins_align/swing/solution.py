@@ -4,7 +4,7 @@ The weighted sum of squares is a quadratic in theta, whose attitude part (R_e, R
 rotation matrix times 1 + delta_g, the unknown share by which gravity's magnitude differs from
 the model's. It is minimised over
 
-    x = [kappa, v0, r, b_g, b_a, delta_g]        R = Exp(kappa) R^
+    x = [kappa, v0, r, b_g, b_a, delta_g, M_g, M_a]        R = Exp(kappa) R^
 
 by Gauss-Newton; the sums are exact, so that no step needs the data again.
 """
@@ -16,16 +16,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from sins_align.grades import ImuGrade
 from sins_align.rotation import exp_rotation, skew
 from sins_align.swing.two_stage import (
     ACCEL_BIAS,
     ATTITUDE,
+    BASE,
     DATA,
     GYRO_BIAS,
     LEVER,
     R_EAST,
     R_UP,
-    THETA,
     V0,
 )
 from sins_align.types import Array
@@ -34,18 +35,18 @@ from sins_align.types import Array
 KAPPA, X_V0, X_R, X_BG, X_BA, X_G = (
     slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15), 15,
 )
-SIZE = 16
+MATRICES = slice(16, 34)
 # A direction of the accelerometer bias is estimated where the data alone know it better
 # than the prior by this ratio of variances; elsewhere it is considered.
-ESTIMATE_RATIO = 10.0
+ESTIMATE_RATIO = 2.0
 
 
 @dataclass(frozen=True)
 class Prior:
     """What is known of x before the data.
 
-    mean, variance : (16,) in the order of x; variance 0 stands for no prior at kappa and v0,
-        and for an exact one elsewhere
+    mean, variance : (16,) or (34,) in the order of x; variance 0 stands for no prior at
+        kappa and v0, and for an exact one elsewhere
     """
 
     mean: Array
@@ -55,20 +56,27 @@ class Prior:
 def make_prior(
     lever_arm: Array,
     lever_sigma: float,
-    gyro_bias_sigma: float,
-    accel_bias_sigma: Array,
+    grade: ImuGrade,
     gravity_sigma: float,
+    calibration: bool,
 ) -> Prior:
-    """Prior of x: biases and delta_g have zero mean.
+    """Prior of x: all means but the lever arm's are zero.
 
     Parameters
     ----------
     lever_arm, lever_sigma : (3,) and per axis [m]
-    gyro_bias_sigma : [rad/s]; accel_bias_sigma : (3,) [m/s^2]; gravity_sigma : [1]
+    gravity_sigma : of delta_g [1]
+    calibration : whether M_g and M_a are in x
     """
-    mean, sigma = np.zeros(SIZE), np.zeros(SIZE)
+    size = MATRICES.stop if calibration else MATRICES.start
+    mean, sigma = np.zeros(size), np.zeros(size)
     mean[X_R], sigma[X_R] = lever_arm, lever_sigma
-    sigma[X_BG], sigma[X_BA], sigma[X_G] = gyro_bias_sigma, accel_bias_sigma, gravity_sigma
+    sigma[X_BG], sigma[X_BA], sigma[X_G] = grade.gyro_bias, grade.accel_bias, gravity_sigma
+    if calibration:
+        for first, scale in ((16, grade.gyro_scale), (25, grade.accel_scale)):
+            matrix = np.full((3, 3), grade.misalignment)
+            np.fill_diagonal(matrix, scale)
+            sigma[first : first + 9] = matrix.reshape(9)
     return Prior(mean, sigma**2)
 
 
@@ -77,8 +85,8 @@ class Solution:
     """Minimum of the sum of squares.
 
     R : (3, 3) columns east, north, up at t = 0 in b0
-    x : (16,) with kappa = 0: R holds the attitude
-    covariance : (16, 16) of x, considered parameters included
+    x : (m,) with kappa = 0: R holds the attitude
+    covariance : (m, m) of x, considered parameters included
     """
 
     R: Array
@@ -87,21 +95,24 @@ class Solution:
 
     @property
     def theta(self) -> Array:
-        """(21,) as the filter's columns take it."""
-        theta = np.empty(THETA)
+        """(p,) as the filter's columns take it."""
+        theta = np.empty(self.x.shape[0] + 5)
         theta[ATTITUDE] = (1.0 + self.x[X_G]) * self.R.T.reshape(9)
         theta[V0], theta[LEVER] = self.x[X_V0], self.x[X_R]
         theta[GYRO_BIAS], theta[ACCEL_BIAS] = self.x[X_BG], self.x[X_BA]
+        theta[BASE:] = self.x[MATRICES]
         return theta
 
     def jacobian(self) -> Array:
-        """d theta / d x: (21, 16)."""
-        J = np.zeros((THETA, SIZE))
+        """d theta / d x: (p, m)."""
+        size = self.x.shape[0]
+        J = np.zeros((size + 5, size))
         scale = 1.0 + self.x[X_G]
         for j in range(3):
             J[3 * j : 3 * j + 3, KAPPA] = -scale * skew(self.R[:, j])
             J[3 * j : 3 * j + 3, X_G] = self.R[:, j]
-        J[9:21, 3:15] = np.eye(12)
+        J[9:BASE, 3:15] = np.eye(12)
+        J[BASE:, MATRICES] = np.eye(size - 16)
         return J
 
 
@@ -167,11 +178,11 @@ class Solver:
         return replace(current, covariance=covariance + error @ error.T)
 
     def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
-        """Information (16, 16) and gradient (16,) of data and prior."""
+        """Information (m, m) and gradient (m,) of data and prior."""
         J = at.jacobian()
-        A = normal[:THETA, :THETA]
+        A = normal[:-1, :-1]
         N = J.T @ A @ J
-        gradient = J.T @ (A @ at.theta + normal[:THETA, DATA])
+        gradient = J.T @ (A @ at.theta + normal[:-1, DATA])
         variance, mean = self._prior.variance, self._prior.mean
         known = variance > 0.0
         N[known, known] += 1.0 / variance[known]
@@ -179,17 +190,18 @@ class Solver:
         return N, gradient
 
     def _parameters(self, N: Array) -> tuple[Array, Array]:
-        """Directions of x to estimate (16, m), and to consider, times their sigma (16, c)."""
-        unit = np.eye(SIZE)
+        """Directions of x to estimate (m, e), and to consider, times their sigma (m, c)."""
+        unit = np.eye(N.shape[0])
         variance = self._prior.variance
         columns = [unit[:, :6]]
         if variance[X_R].any():
             columns.append(unit[:, X_R] @ self._lever_free)
-        columns += [unit[:, [k]] for k in (9, 10, 11, X_G) if variance[k] > 0.0]
+        others = np.r_[X_BG, X_G : N.shape[0]]
+        columns.append(unit[:, others[variance[others] > 0.0]])
         basis = np.hstack(columns)
         sigma = np.sqrt(variance[X_BA])
         if not sigma.all():
-            return basis, np.zeros((SIZE, 0))
+            return basis, np.zeros((N.shape[0], 0))
         # Information of data and prior on the accelerometer bias, in units of the prior.
         factor, scale = _factor(basis.T @ N @ basis)
         cross = basis.T @ N[:, X_BA] * sigma

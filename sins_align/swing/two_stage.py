@@ -16,7 +16,9 @@ where R_e, R_n, R_u are east, north and up at t = 0 in b0 axes. The eighteen sta
 problem are phi, v, d, r, b_g, b_a; beta is the Gauss-Markov part of the gyro bias.
 
 What is constant and unknown (attitude, start velocity, lever arm, biases) enters linearly in
-theta = [R_e, R_n, R_u, v0, r, b_g, b_a], with no prior at all on most of it. So, after
+theta = [R_e, R_n, R_u, v0, r, b_g, b_a, M_g, M_a], with no prior at all on most of it. M_g and
+M_a are the scale errors and misalignments, which under a swing act as further biases: on a
+cone they rectify. So, after
 Friedland (IEEE TAC 14, 1969), the filter runs on the random part x = [phi, v, d, beta] alone,
 which starts from zero with a small covariance, and carries beside it the columns X of its
 response to theta. The innovations E theta + e whiten the problem, and their sums
@@ -36,17 +38,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
-from sins_align.rotation import skew
+from sins_align.rotation import skew, unskew
 from sins_align.swing.epochs import Epochs
 from sins_align.types import Array
 
-# Columns of theta, and of the data after them.
+# Columns of theta; those of the scale errors and misalignments are there where the grade has
+# them; the last column is the data's.
 R_EAST, R_NORTH, R_UP = slice(0, 3), slice(3, 6), slice(6, 9)
 ATTITUDE = slice(0, 9)
 V0, LEVER, GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15), slice(15, 18), slice(18, 21)
-THETA = 21
-DATA = 21
-COLUMNS = 22
+GYRO_MATRIX, ACCEL_MATRIX = slice(21, 30), slice(30, 39)
+BASE, CALIBRATED = 21, 39
+DATA = -1
 # Rows of x.
 PHI, VEL, POS, DRIFT = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 
@@ -57,6 +60,7 @@ class NoiseModel:
 
     gyro [rad/sqrt(s)], accel [m/s/sqrt(s)], drift [rad/s] with drift_time_s [s],
     position [m] at an epoch, walk [m/sqrt(s)]
+    calibration : whether scale errors and misalignments are among the unknowns
     """
 
     gyro: float
@@ -65,6 +69,12 @@ class NoiseModel:
     drift_time_s: float
     position: float
     walk: float
+    calibration: bool = False
+
+    @property
+    def theta_size(self) -> int:
+        """Number of unknowns."""
+        return CALIBRATED if self.calibration else BASE
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,7 @@ class GravityModel:
 class Linearisation(NamedTuple):
     """About what the noise model is linearised, and what the innovations are judged by.
 
-    R : (3, 3) columns east, north, up in b0; r_b : (3,) lever arm; theta : (21,)
+    R : (3, 3) columns east, north, up in b0; r_b : (3,) lever arm; theta : (p,)
     """
 
     R: Array
@@ -100,7 +110,7 @@ class Steps(NamedTuple):
     """Transition, its response to theta, process noise, observation: one epoch a row."""
 
     F: Array  # (K, n, n)
-    G: Array  # (K, n, 22)
+    G: Array  # (K, n, p + 1)
     Q: Array  # (K, n, n)
     H: Array  # (K, 3, n)
     C: Array  # (K, 3, 3) at the end of the epoch
@@ -150,13 +160,23 @@ def build_steps(
     UB = U @ B
     bias = np.concatenate((-B, 0.5 * UB, UB * (T / 6.0)[:, None, None]), axis=1)
 
-    G = np.zeros((K, n, COLUMNS))
+    G = np.zeros((K, n, noise.theta_size + 1))
     for j, columns in enumerate((R_EAST, R_NORTH, R_UP)):
         G[:, VEL, columns] = u_g[:, j, None, None] * eye
         G[:, POS, columns] = s_g[:, j, None, None] * eye
     G[:, :9, GYRO_BIAS] = bias
     G[:, VEL, ACCEL_BIAS], G[:, POS, ACCEL_BIAS] = -B, -BB
     G[:, VEL, DATA], G[:, POS, DATA] = epochs.u[first:], epochs.s[first:]
+
+    if noise.calibration:
+        # M f and M w, with f and w of the epoch's middle: column (i, j) is that of the bias
+        # of axis i, times f_j or w_j.
+        f_b = np.einsum("kji,kj->ki", B, u_m) / (T * T)[:, None]
+        turn = epochs.C[first:-1].transpose(0, 2, 1) @ epochs.C[first + 1 :]
+        w_b = unskew(turn) / T[:, None]
+        G[:, :9, GYRO_MATRIX] = (bias[..., None] * w_b[:, None, None, :]).reshape(K, 9, 9)
+        G[:, VEL, ACCEL_MATRIX] = -(B[..., None] * f_b[:, None, None, :]).reshape(K, 3, 9)
+        G[:, POS, ACCEL_MATRIX] = -(BB[..., None] * f_b[:, None, None, :]).reshape(K, 3, 9)
 
     C = epochs.C[first + 1 :]
     H = np.zeros((K, 3, n))
@@ -231,28 +251,29 @@ class PositionNoise:
 class TwoStageFilter:
     """Filter of the random part, with the columns of its response to theta.
 
-    x : the random part's estimate is X[:, DATA] + X[:, :21] theta
+    x : the random part's estimate is X[:, DATA] + X[:, :-1] theta
     P : (n, n) its covariance for given theta
-    normal : (22, 22) sum of E^T S^-1 E
+    normal : (p+1, p+1) sum of E^T S^-1 E
     """
 
     def __init__(self, noise: NoiseModel) -> None:
         n = 12 if noise.drift > 0.0 else 9
         self.noise = PositionNoise(noise.position**2)
-        self.X = np.zeros((n, COLUMNS))
+        self.X = np.zeros((n, noise.theta_size + 1))
         self.X[VEL, V0] = self.X[POS, LEVER] = np.eye(3)
         self.P = np.zeros((n, n))
         self.P[POS, POS] = noise.position**2 * np.eye(3)
         if noise.drift > 0.0:
             self.P[DRIFT, DRIFT] = noise.drift**2 * np.eye(3)
-        self.normal = np.zeros((COLUMNS, COLUMNS))
+        self.normal = np.zeros((noise.theta_size + 1, noise.theta_size + 1))
 
     def run(self, steps: Steps, theta: Array | None) -> None:
-        """Take in epochs. With theta (21,) the innovations are judged and may grow R."""
+        """Take in epochs. With theta (p,) the innovations are judged and may grow R."""
         whole = None if theta is None else np.append(theta, 1.0)
-        X, P, n = self.X, self.P, self.P.shape[0]
-        whitened = np.empty((steps.F.shape[0], 3, COLUMNS))
-        right = np.empty((3, COLUMNS + n), order="F")
+        X, P = self.X, self.P
+        n, columns = X.shape
+        whitened = np.empty((steps.F.shape[0], 3, columns))
+        right = np.empty((3, columns + n), order="F")
         eye = np.eye(3)
         for k, (F, G, Q, H, C) in enumerate(zip(*steps, strict=True)):
             X = F @ X
@@ -263,22 +284,22 @@ class TwoStageFilter:
             S = HP @ H.T
             at_floor = S[0, 0] + S[1, 1] + S[2, 2] + 3.0 * self.noise.floor
             S += self.noise.variance * eye
-            right[:, :COLUMNS] = H @ X
+            right[:, :columns] = H @ X
             right[:, LEVER] -= C
-            right[:, COLUMNS:] = HP
+            right[:, columns:] = HP
             # With S = L L^T: L^-1 [E, H P], then X - P H^T S^-1 E and P - P H^T S^-1 H P.
             L, _ = dpotrf(S, lower=1)
             white, _ = dtrtrs(L, right, lower=1)
-            E, W = white[:, :COLUMNS], white[:, COLUMNS:]
+            E, W = white[:, :columns], white[:, columns:]
             X -= W.T @ E
             P -= W.T @ W
             whitened[k] = E
             if whole is not None:
-                squared = right[:, :COLUMNS] @ whole
+                squared = right[:, :columns] @ whole
                 normalised = E @ whole
                 self.noise.update(
                     float(squared @ squared), at_floor, float(normalised @ normalised)
                 )
-        flat = whitened.reshape(-1, COLUMNS)
+        flat = whitened.reshape(-1, columns)
         self.normal += flat.T @ flat
         self.X, self.P = X, P
