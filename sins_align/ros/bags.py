@@ -226,11 +226,18 @@ class Bag:
                 yield log_time, message
 
     def read_fix(self, topic: str) -> Position | None:
-        """Position of the first sensor_msgs/NavSatFix that has one, None if none has."""
+        """Position of the first sensor_msgs/NavSatFix that has one, None if none has.
+
+        Valid is a status of at least 0 with finite values. Raises BagError.
+        """
         for _, fix in self.read_messages(topic):
-            values = (fix.latitude, fix.longitude, fix.altitude)
+            try:
+                values = (fix.latitude, fix.longitude, fix.altitude)
+                valid = fix.status.status >= 0
+            except AttributeError as error:  # the bag's definition of the type is another one
+                raise BagError(self._where, f"{topic}: {error}") from error
             on_earth = abs(fix.latitude) <= 90.0 and abs(fix.longitude) <= 180.0
-            if fix.status.status >= 0 and on_earth and np.isfinite(values).all():
+            if valid and on_earth and np.isfinite(values).all():
                 latitude, longitude = np.radians(values[:2]).tolist()
                 return Position(latitude, longitude, fix.altitude)
         return None

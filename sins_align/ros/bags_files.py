@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 _BATCH = 20_000  # messages
+_SQLITE_ERRORS = (sqlite3.DatabaseError, UnicodeDecodeError)  # the latter of damaged names
 # sqlite3 does not keep to the types of its columns where the file is damaged.
 _TOPICS = "SELECT id, name, type FROM topics WHERE typeof(name) = 'text' AND typeof(type) = 'text'"
 _MESSAGES = (
@@ -50,9 +51,9 @@ class SqliteFile:
             self._ids, self.topics = self._list_topics()
             self.start = self.end = self._first("ASC")
             # A cut file lacks its end.
-            with suppress(sqlite3.DatabaseError):
+            with suppress(*_SQLITE_ERRORS):
                 self.end = self._first("DESC")
-        except sqlite3.DatabaseError as error:
+        except _SQLITE_ERRORS as error:
             self._database.close()
             raise BagError(path, f"no readable rosbag2 database: {error}") from error
 
@@ -90,8 +91,8 @@ class SqliteFile:
         try:
             cursor = self._database.execute(query, ids)
             messages = _before_cut(cursor, self._cut_page) if self._cut_page else cursor
-            yield from _decode(messages, decoder, sqlite3.DatabaseError)
-        except sqlite3.DatabaseError as error:
+            yield from _decode(messages, decoder, *_SQLITE_ERRORS)
+        except _SQLITE_ERRORS as error:
             self._warnings.note(self.path, f"{error}; what followed is lost")
 
 
@@ -104,8 +105,17 @@ class Ros1File:
         self.path = path
         self._warnings = warnings
         self._reader = Reader(path)
-        # Beside its own errors the reader lets those of parsing and decompression through.
-        self._errors = (ReaderError, ValueError, LookupError, struct.error, OSError, RuntimeError)
+        # Beside its own errors the reader lets those of parsing and decompression through,
+        # and asserts that the index is right.
+        self._errors = (
+            ReaderError,
+            ValueError,
+            LookupError,
+            struct.error,
+            OSError,
+            RuntimeError,
+            AssertionError,
+        )
         try:
             self._reader.open()
         except self._errors as error:
@@ -131,7 +141,7 @@ class Ros1File:
         try:
             yield from _decode(messages, decoder, *self._errors)
         except self._errors as error:
-            self._warnings.note(self.path, f"{error}; what followed is lost")
+            self._warnings.note(self.path, f"{error!r}; what followed is lost")
 
 
 def _decode(

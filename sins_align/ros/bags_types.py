@@ -20,7 +20,8 @@ def typestore_for(topic: Topic) -> Typestore:
         store = get_typestore(Stores.EMPTY)  # fast to import
         try:
             store.register(get_types_from_msg(topic.definition, topic.type))
-        except TypesysError:  # the definition is damaged
+            store.get_msgdef(topic.type)
+        except (TypesysError, LookupError):  # the definition is damaged
             pass
         else:
             return store
