@@ -12,6 +12,7 @@ irregular stamps; they agree with the truth of a swing to the rounding of the st
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -96,22 +97,8 @@ def _node_weights(t: Array) -> _Weights:
 
 
 @lru_cache(maxsize=64)
-def _uniform_weights(n: int) -> _Weights:
-    return _node_weights(np.arange(n + 1.0))
-
-
-@lru_cache(maxsize=64)
 def _uniform_stencils(n: int) -> Array:
     return _stencil_weights(np.arange(n + 1.0))[1]
-
-
-def window_weights(t: Array, uniform_step: float | None) -> _Weights:
-    """Weights on the nodes t (n+1,) [s]; `uniform_step` [s] where they are equidistant."""
-    if uniform_step is None:
-        return _node_weights(t)
-    unit = _uniform_weights(t.shape[0] - 1)
-    h = uniform_step
-    return _Weights(unit.single * h, unit.double * (h * h), unit.tail * h)
 
 
 def uniform_step(t: Array) -> float | None:
@@ -129,6 +116,8 @@ def fill_gaps(block: ImuBlock) -> ImuBlock:
     running mean is interpolated, which is what a lost sample would have carried.
     """
     steps = np.diff(block.stamp_ns)
+    if 2 * steps.max() < 3 * steps.min():
+        return block
     nominal = float(np.median(steps))
     missing = np.rint(steps / nominal).astype(np.int64) - 1
     if missing.max() <= 0:
@@ -185,15 +174,17 @@ def _integrate_intervals(t: Array, w: Array, step: float | None) -> Array:
     if n < 3:
         return np.einsum("an,in->ai", w, weights)
     theta = np.empty((3, n))
-    theta[:, 0] = w[:, :4] @ weights[0]
-    theta[:, -1] = w[:, -4:] @ weights[-1]
-    inner = weights[1:-1]
     if step is None:
+        inner = weights[1:-1]
         theta[:, 1:-1] = sum(w[:, j : n - 2 + j] * inner[:, j] for j in range(4))
     else:
-        outer_weight, inner_weight = (step * -1.0 / 24.0, step * 13.0 / 24.0)
-        theta[:, 1:-1] = outer_weight * (w[:, :-3] + w[:, 3:])
-        theta[:, 1:-1] += inner_weight * (w[:, 1:-2] + w[:, 2:-1])
+        # h/24 (-1, 13, 13, -1), by way of the sums of neighbours.
+        pair = (step / 24.0) * (w[:, :-1] + w[:, 1:])
+        np.multiply(14.0, pair, out=theta)
+        theta[:, 1:-1] -= pair[:, :-2]
+        theta[:, 1:-1] -= pair[:, 2:]
+    theta[:, 0] = w[:, :4] @ weights[0]
+    theta[:, -1] = w[:, -4:] @ weights[-1]
     return theta
 
 
@@ -230,11 +221,6 @@ def velocity_increments(
     return dv + 0.5 * turned + cross(theta, turned) / 6.0 + sculling * (dt * dt * dt / 12.0)
 
 
-def _rotate(C: Array, v: Array) -> Array:
-    """C v column by column: (3, 3, N), (3, N)."""
-    return C[:, 0] * v[0] + C[:, 1] * v[1] + C[:, 2] * v[2]
-
-
 def integrate_rotation(block: ImuBlock, sampling: ImuSampling) -> Array:
     """Rotation of b at the last stamp to b at the first: (4,) quaternion."""
     block = fill_gaps(block)
@@ -260,24 +246,53 @@ def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Win
     edges = np.concatenate(([0], edges, [n]))
     theta = rotation_increments(t, block.w_ib_b, sampling, step)
     q = cumulative_rotation(quaternion_from_rotation_vector(theta))
-    C = dcm_from_quaternion(q)
+    # Rows: C (9), and what sums to u (3): C f at the nodes, or its integral over the
+    # interval that begins there.
+    rows = np.zeros((12, n + 1))
+    C = dcm_from_quaternion(q, out=rows[:9].reshape(3, 3, n + 1))
+    f = block.f_ib_b
     if sampling is ImuSampling.MEAN:
-        g = velocity_increments(t, block.w_ib_b, block.f_ib_b, theta, step)
-        g = _rotate(C[:, :, :-1], g)
-    else:
-        g = _rotate(C, block.f_ib_b)
-    out = Windows(
-        np.diff(t[edges]), np.empty((3, count)), np.empty((3, count)),
-        np.empty((3, 3, count)), np.empty((3, 3, count)), q[:, edges[1:]],
-    )
-    for k in range(count):
-        a, b = edges[k], edges[k + 1]
-        weights = window_weights(t[a : b + 1], step)
-        nodes = C[:, :, a : b + 1]
-        out.B[:, :, k], out.BB[:, :, k] = nodes @ weights.single, nodes @ weights.double
+        f = np.zeros_like(f)
+        f[:, :-1] = velocity_increments(t, block.w_ib_b, block.f_ib_b, theta, step)
+    rows[9:] = C[:, 0] * f[0]
+    rows[9:] += C[:, 1] * f[1]
+    rows[9:] += C[:, 2] * f[2]
+    of_C, of_f = _block_weights(t, step, tuple(int(e) for e in edges), sampling)
+    B, BB = (rows[:9] @ of_C).reshape(3, 3, 2, count).transpose(2, 0, 1, 3)
+    u, s = (rows[9:] @ of_f).reshape(3, 2, count).transpose(1, 0, 2)
+    return Windows(np.diff(t[edges]), u, s, B, BB, q[:, edges[1:]])
+
+
+def _block_weights(
+    t: Array, step: float | None, edges: tuple[int, ...], sampling: ImuSampling
+) -> tuple[Array, Array]:
+    """Weights (n+1, 2 W) of all windows: first the single integrals, then the double ones.
+
+    Returns those on C at the nodes, and those on the rows that sum to u.
+    """
+    if step is None:
+        return _assemble(t, edges, sampling)
+    unit = _unit_block_weights(edges, sampling)
+    powers = np.repeat((step, step * step), len(edges) - 1)
+    if sampling is ImuSampling.MEAN:
+        return unit[0] * powers, unit[1] * (powers / step)
+    return unit[0] * powers, unit[1] * powers
+
+
+@lru_cache(maxsize=64)
+def _unit_block_weights(edges: tuple[int, ...], sampling: ImuSampling) -> tuple[Array, Array]:
+    return _assemble(np.arange(edges[-1] + 1.0), edges, sampling)
+
+
+def _assemble(t: Array, edges: tuple[int, ...], sampling: ImuSampling) -> tuple[Array, Array]:
+    count = len(edges) - 1
+    of_C = np.zeros((t.shape[0], 2 * count))
+    of_f = np.zeros_like(of_C)
+    for k, (a, b) in enumerate(pairwise(edges)):
+        single, double, tail = _node_weights(t[a : b + 1])
+        of_C[a : b + 1, k], of_C[a : b + 1, count + k] = single, double
         if sampling is ImuSampling.MEAN:
-            out.u[:, k], out.s[:, k] = g[:, a:b].sum(axis=1), g[:, a:b] @ weights.tail
+            of_f[a:b, k], of_f[a:b, count + k] = 1.0, tail
         else:
-            out.u[:, k] = g[:, a : b + 1] @ weights.single
-            out.s[:, k] = g[:, a : b + 1] @ weights.double
-    return out
+            of_f[:, k], of_f[:, count + k] = of_C[:, k], of_C[:, count + k]
+    return of_C, of_f

@@ -44,13 +44,11 @@ def unskew(M: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """a x b column by column, (3, N) each; quicker than numpy.cross."""
-    return np.stack(
-        (
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        )
-    )
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(a[j], b[k], out=product[i])
+        product[i] -= a[k] * b[j]
+    return product
 
 
 def exp_rotation(phi: Array) -> Array:
@@ -70,11 +68,15 @@ def log_rotation(C: Array) -> Array:
 
 def quaternion_from_rotation_vector(phi: Array) -> Array:
     """q = (cos |phi|/2, phi/|phi| sin |phi|/2); phi (3, ...) [rad], result (4, ...)."""
-    half_squared = 0.25 * (phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
-    half = np.sqrt(half_squared)
+    x = 0.25 * (phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
     q = np.empty((4, *phi.shape[1:]))
+    if x.max(initial=0.0) < 1e-3:
+        # Both series to x^3: the next term is below 1e-16, and no division by zero.
+        q[0] = 1.0 - x * (1.0 / 2.0 - x * (1.0 / 24.0 - x * (1.0 / 720.0)))
+        q[1:] = phi * (0.5 - x * (1.0 / 12.0 - x * (1.0 / 240.0 - x * (1.0 / 10080.0))))
+        return q
+    half = np.sqrt(x)
     q[0] = np.cos(half)
-    # 1/2 sin(x)/x, by its series where x is too small to divide by.
     q[1:] = phi * (0.5 * np.sinc(half / np.pi))
     return q
 
@@ -93,22 +95,16 @@ def multiply_quaternions(p: Array, q: Array) -> Array:
     )
 
 
-def dcm_from_quaternion(q: Array) -> Array:
+def dcm_from_quaternion(q: Array, out: Array | None = None) -> Array:
     """Direction cosine matrix of unit quaternions; q (4, ...), result (3, 3, ...)."""
-    w, x, y, z = q
-    C = np.empty((3, 3, *q.shape[1:]))
+    C = np.empty((3, 3, *q.shape[1:])) if out is None else out
+    w, x, y, z = math.sqrt(2.0) * q
     xx, yy, zz = x * x, y * y, z * z
-    xy, xz, yz = x * y, x * z, y * z
-    wx, wy, wz = w * x, w * y, w * z
-    C[0, 0] = 1.0 - 2.0 * (yy + zz)
-    C[0, 1] = 2.0 * (xy - wz)
-    C[0, 2] = 2.0 * (xz + wy)
-    C[1, 0] = 2.0 * (xy + wz)
-    C[1, 1] = 1.0 - 2.0 * (xx + zz)
-    C[1, 2] = 2.0 * (yz - wx)
-    C[2, 0] = 2.0 * (xz - wy)
-    C[2, 1] = 2.0 * (yz + wx)
-    C[2, 2] = 1.0 - 2.0 * (xx + yy)
+    for i, squares in enumerate((yy + zz, xx + zz, xx + yy)):
+        np.subtract(1.0, squares, out=C[i, i, ...])
+    for i, j, product, turn in ((0, 1, x * y, w * z), (2, 0, x * z, w * y), (1, 2, y * z, w * x)):
+        np.subtract(product, turn, out=C[i, j, ...])
+        np.add(product, turn, out=C[j, i, ...])
     return C
 
 
@@ -144,24 +140,26 @@ def cumulative_rotation(increments: Array) -> Array:
     call instead of a loop.
     """
     n = increments.shape[1]
-    c = increments[0] + 1j * increments[1]
-    d = increments[2] + 1j * increments[3]
-    # Unknowns (a_0, b_0, a_1, b_1, ...); the rows of step k + 1:
+    w, x, y, z = increments
+    # With (c, d) = (w + i x, y + i z) and unknowns (a_0, b_0, a_1, b_1, ...), step k + 1 is
     #   a_{k+1} - c a_k + d* b_k = 0        (band offsets 2 and 1)
     #   b_{k+1} - d a_k - c* b_k = 0        (band offsets 3 and 2)
-    band = np.zeros((4, 2 * (n + 1)), dtype=complex, order="F")
-    band[0] = 1.0
-    band[2, 0 : 2 * n : 2] = -c
-    band[3, 0 : 2 * n : 2] = -d
-    band[1, 1 : 2 * n : 2] = d.conj()
-    band[2, 1 : 2 * n : 2] = -c.conj()
-    x = np.zeros(2 * (n + 1), dtype=complex)
-    x[0] = 1.0
-    x = ztbsv(3, band, x, lower=1, diag=1, overwrite_x=1)
-    a, b = x[0::2], x[1::2]
-    q = np.empty((4, n + 1))
-    q[0], q[1], q[2], q[3] = a.real, a.imag, b.real, b.imag
-    return q
+    # The last axis of `band` holds real and imaginary part; diagonals are its third axis.
+    band = np.zeros((n + 1, 2, 4, 2))
+    a_k, b_k = band[:n, 0], band[:n, 1]
+    np.negative(w, out=a_k[:, 2, 0])
+    np.negative(x, out=a_k[:, 2, 1])
+    np.negative(y, out=a_k[:, 3, 0])
+    np.negative(z, out=a_k[:, 3, 1])
+    b_k[:, 1, 0] = y
+    np.negative(z, out=b_k[:, 1, 1])
+    np.negative(w, out=b_k[:, 2, 0])
+    b_k[:, 2, 1] = x
+    unknowns = np.zeros(2 * (n + 1), dtype=complex)
+    unknowns[0] = 1.0
+    matrix = band.view(complex).reshape(2 * (n + 1), 4).T
+    unknowns = ztbsv(3, matrix, unknowns, lower=1, diag=1, overwrite_x=1)
+    return np.ascontiguousarray(unknowns.view(float).reshape(n + 1, 4).T)
 
 
 def dcm_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
