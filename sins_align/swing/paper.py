@@ -8,7 +8,6 @@ import numpy as np
 
 from sins_align.config import SwingConfig
 from sins_align.earth import normal_gravity
-from sins_align.limits import heading_limit
 from sins_align.rotation import (
     dcm_from_quaternion,
     dcm_from_rpy,
@@ -16,14 +15,18 @@ from sins_align.rotation import (
     quaternion_from_dcm,
     quaternion_from_rotation_vector,
 )
-from sins_align.swing.paper_differentiator import make_differentiator
+from sins_align.swing.paper_differentiator import (
+    Differentiator,
+    make_differentiator,
+    noise_gain,
+)
 from sins_align.swing.paper_error_model import Earth
 from sins_align.swing.paper_fine import FineAlignment
 from sins_align.swing.paper_lever import LeverRegression, RegressionNoise
 from sins_align.swing.paper_navigation import Motion, make_grid, navigate_attitude
 from sins_align.swing.paper_schedule import Event, events
 from sins_align.swing.paper_stream import SampleStream, Stretch
-from sins_align.types import Array, Estimate, ImuBlock, LeverArm, Position
+from sins_align.types import Array, Estimate, ImuBlock, ImuSampling, LeverArm, Position
 
 
 class PaperAligner:
@@ -61,13 +64,8 @@ class PaperAligner:
         self._grade = config.grade
         self._earth = Earth.at(position)
         self._gravity = normal_gravity(position.latitude, position.altitude)
-        limit = heading_limit(config.grade, position.latitude)
-        level = config.grade.accel_bias / self._gravity
-        self._bias_sigma = np.array([level, level, math.pi if math.isnan(limit) else limit])
         self._stream = SampleStream(config.sampling)
-        self._differentiate = make_differentiator(
-            config.paper.differentiator, config.paper.eso_bandwidth
-        )
+        self._differentiate = self._make_differentiator()
         self._regression: LeverRegression | None = None
         self._lever = LeverArm(
             config.lever_arm_prior,
@@ -77,6 +75,10 @@ class PaperAligner:
         self._Q = quaternion_from_dcm(dcm_from_rpy(*config.paper.initial_rpy))
         self._fine: FineAlignment | None = None
         self._first_ns = self._stamp_ns = 0
+
+    def _make_differentiator(self) -> Differentiator:
+        paper = self._config.paper
+        return make_differentiator(paper.differentiator, paper.eso_bandwidth)
 
     def update(self, block: ImuBlock) -> None:
         """Take in the next block of samples."""
@@ -95,10 +97,13 @@ class PaperAligner:
     def _make_regression(self, block: ImuBlock) -> LeverRegression:
         interval = float(block.stamp_ns[-1] - block.stamp_ns[0]) * 1e-9 / (block.stamp_ns.size - 1)
         density = 1.0 / math.sqrt(interval)
+        averaged = self._config.sampling is ImuSampling.MEAN
         noise = RegressionNoise(
             self._grade.accel_vrw * density,
             self._grade.accel_bias,
-            self._grade.gyro_arw * density * self._differentiate.noise_gain(interval),
+            self._grade.gyro_arw
+            * density
+            * noise_gain(self._make_differentiator(), interval, averaged),
             self._differentiate.lag(interval),
         )
         return LeverRegression(
@@ -135,9 +140,7 @@ class PaperAligner:
             self._Q = multiply_quaternions(quaternion_from_rotation_vector(-tilt), self._Q)
         elif event is Event.FINE:
             h = float(motion.t[-1]) / (motion.t.size - 1)
-            self._fine = FineAlignment(
-                self._earth, self._gravity, self._grade, h, self._differentiate.lag(h)
-            )
+            self._fine = FineAlignment(self._earth, self._grade, h, self._differentiate.lag(h))
             self._fine.reset(self._Q)
         elif event is Event.LEVER and self._fine is not None:
             lever = regression.solve().lever_arm
@@ -163,11 +166,10 @@ class PaperAligner:
         assert self._fine is not None
         Q = self._fine.corrected(self._Q)
         t = np.linspace(0.0, elapsed, theta.shape[1] + 1)
-        covariance = self._fine.tilt_covariance(self._Q) + np.diag(self._bias_sigma**2)
         return Estimate(
             stamp_ns=stamp_ns,
             q_nb=navigate_attitude(Q, t, theta, self._earth.rate_n(self._fine.V))[:, -1],
-            misalignment_covariance=covariance,
+            misalignment_covariance=self._fine.tilt_covariance(self._Q),
             gyro_bias=np.zeros(3),
             gyro_bias_sigma=np.full(
                 3, math.hypot(self._grade.gyro_bias, self._grade.gyro_bias_instability)

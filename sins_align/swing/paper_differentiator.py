@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 import numpy as np
@@ -23,9 +22,6 @@ class Differentiator(Protocol):
     def lag(self, h: float) -> float:
         """How late the derivative of a slow signal is, for samples every h [s]: [s]."""
 
-    def noise_gain(self, h: float) -> float:
-        """1 sigma of the derivative for white noise of 1 in the samples [1/s]."""
-
 
 class CentralDifference:
     """(w_{k+1} - w_{k-1}) / (t_{k+1} - t_{k-1}): no lag, half the noise of the observer."""
@@ -38,10 +34,6 @@ class CentralDifference:
     def lag(self, h: float) -> float:
         """None: the difference is centred."""
         return 0.0
-
-    def noise_gain(self, h: float) -> float:
-        """As `Differentiator`."""
-        return math.sqrt(0.5) / h
 
 
 class ExtendedStateObserver:
@@ -93,12 +85,20 @@ class ExtendedStateObserver:
         """Half a sample of the difference, and (1 - b h) / (b h) of each pole."""
         return (2.0 / self._gain(h) - 1.5) * h
 
-    def noise_gain(self, h: float) -> float:
-        """The square root of the energy of the impulse response."""
-        gain = self._gain(h)
-        return math.sqrt(2.0 * (gain / (2.0 - gain)) ** 3) / h
-
 
 def make_differentiator(name: str, bandwidth: float | None) -> Differentiator:
     """The one that `PaperConfig.differentiator` names: 'eso' or 'central'."""
     return ExtendedStateObserver(bandwidth) if name == "eso" else CentralDifference()
+
+
+def noise_gain(differentiate: Differentiator, h: float, averaged: bool) -> float:
+    """1 sigma of the derivative for white noise of 1 in samples every h [s]: [1/s].
+
+    `differentiate` must be fresh. averaged : neighbours are averaged before.
+    """
+    impulse = np.zeros((3, 4000))
+    impulse[:, 100] = 1.0
+    if averaged:
+        impulse = 0.5 * (impulse[:, :-1] + impulse[:, 1:])
+    slope = differentiate(h * np.arange(impulse.shape[1], dtype=np.float64), impulse)
+    return float(np.linalg.norm(slope[0]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sins_align.grades import ImuGrade
-from sins_align.rotation import cross, skew
+from sins_align.rotation import skew
 from sins_align.swing.paper_error_model import A, Earth, G
 from sins_align.swing.paper_filter import QuaternionFilter
 from sins_align.swing.paper_navigation import Grid, Motion, centre_specific_force, integrate
@@ -16,9 +16,6 @@ _TILT_SIGMA = np.radians([10.0, 10.0, 30.0])
 _VELOCITY_SIGMA = 1e-3  # [m/s]
 # Floor of the measurement noise [m/s].
 _VELOCITY_NOISE = 1e-5
-# The lag's error swings with the base instead of being white: it stays for so many filter
-# steps, and as white noise it must count for as many.
-_LAG_STEPS = 10.0
 
 
 class FineAlignment:
@@ -28,27 +25,24 @@ class FineAlignment:
 
     Parameters
     ----------
-    gravity : [m/s^2]
     interval_s : of the samples [s]
     lag_s : of the angular acceleration [s]
     """
 
-    def __init__(
-        self, earth: Earth, gravity: float, grade: ImuGrade, interval_s: float, lag_s: float
-    ) -> None:
+    def __init__(self, earth: Earth, grade: ImuGrade, interval_s: float, lag_s: float) -> None:
         self._earth = earth
-        self._gravity = gravity
         self._noise = np.diag(np.repeat([grade.gyro_arw**2, grade.accel_vrw**2], 3))
         self._rate_variance = grade.gyro_arw**2 / interval_s
         self._lag_s = lag_s
-        self._filter = QuaternionFilter(_TILT_SIGMA, _VELOCITY_SIGMA)
+        # Constants: gyro bias, accelerometer bias, error of the lever arm, the lag (as 1).
+        gyro = grade.gyro_bias**2 + grade.gyro_bias_instability**2
+        self._constants = np.diag(np.repeat([gyro, grade.accel_bias**2, 0.0, 1.0], [3, 3, 3, 1]))
+        self._filter = QuaternionFilter(_TILT_SIGMA, _VELOCITY_SIGMA, 10)
         self.V = np.zeros(2)
 
     def reset(self, Q: Array) -> None:
         """Begin at the attitude Q (4,), its error unknown."""
         self._filter.reset(Q)
-        self._lag_force = np.zeros(2)
-        self._lag_time = 0.0
 
     def corrected(self, Q: Array) -> Array:
         """The navigated attitude Q (4,) without the error found: a unit quaternion."""
@@ -81,12 +75,21 @@ class FineAlignment:
             for step in transitions[grid.filter[k] : grid.filter[k + 1]]:
                 transition = step @ transition
             duration = float(motion.t[end] - motion.t[ends[k]])
-            input_matrix = G(motion.Q[:, end], motion.C_nb[:, :, end])
-            noise = input_matrix @ self._noise @ input_matrix.T * duration
-            self._filter.predict(transition, noise)
+            inputs = G(motion.Q[:, end], motion.C_nb[:, :, end]) * duration
+            noise = inputs @ self._noise @ inputs.T / duration
+            C_w, C_r, late, later = self._lever_effects(motion, end, lever.r_b)
+            driven = np.zeros((6, 10))
+            driven[:, :6] = inputs
+            driven[4:, 9] = -later * duration
+            self._filter.predict(transition, noise, driven)
             self.V = self.V + dV[:, k] + self._earth.coriolis(self.V) * duration
-            self._filter.correct(self.V, self._measurement_noise(motion, end, lever))
-        self._add_lag_force(motion, ends[1:], lever.r_b)
+            R = C_w @ lever.covariance @ C_w.T + self._rate_variance * C_r @ C_r.T
+            R += (_VELOCITY_NOISE**2 + 0.5 * float(late @ late)) * np.eye(2)
+            seen = np.zeros((2, 10))
+            seen[:, 6:9] = -C_w
+            seen[:, 9] = late
+            self._filter.correct(self.V, R, seen)
+        self._constants[6:9, 6:9] = lever.covariance
 
     def _transitions(self, motion: Motion, nodes: IntArray, f_b: Array) -> Array:
         """I + A dt + (A dt)^2 / 2 of every navigation step, A the mean of its ends: (M, 6, 6)."""
@@ -102,37 +105,30 @@ class FineAlignment:
         transitions: Array = np.eye(6) + A_dt + 0.5 * A_dt @ A_dt
         return transitions
 
-    def _measurement_noise(self, motion: Motion, end: int, lever: LeverArm) -> Array:
-        """Noise of the velocity (2, 2) [m^2/s^2] at the index `end`.
+    def _lever_effects(
+        self, motion: Motion, end: int, r_b: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """What the lever arm does to the navigated velocity at the index `end`, east and north.
 
-        C (w x r) is taken off the accelerometers' velocity: errors of r, noise of w and, with
-        the derivative late by tau, tau C (dw x r) stay in it.
+        The accelerometers' velocity is freed of C (w x r). An error of r leaves -C_w dr with
+        C_w = C [w x], noise of w leaves C_r dw with C_r = C [r x]. A derivative late by tau
+        adds the specific force tau ddw x r, whose integral in n is
+
+        tau C (dw x r) - tau int C (w x (dw x r)) dt.
+
+        Returns
+        -------
+        C_w, C_r : (2, 3)
+        late, later : (2,) tau C (dw x r) [m/s], tau C (w x (dw x r)) [m/s^2]
         """
         C = motion.C_nb[:2, :, end]
-        C_w = C @ skew(motion.w_ib_b[:, end])
-        C_r = C @ skew(lever.r_b)
-        late = self._lag_s * (C_r @ motion.dw_ib_b[:, end])
-        floor = _VELOCITY_NOISE**2 + 0.5 * _LAG_STEPS * float(late @ late)
-        noise: Array = C_w @ lever.covariance @ C_w.T + self._rate_variance * C_r @ C_r.T
-        return noise + floor * np.eye(2)
-
-    def _add_lag_force(self, motion: Motion, ends: IntArray, r_b: Array) -> None:
-        """Mean of the specific force that a late derivative feigns.
-
-        -tau C (ddw x r) has the mean of tau C (w x (dw x r)): the rest is a derivative.
-        """
-        w, dw, C = motion.w_ib_b[:, ends], motion.dw_ib_b[:, ends], motion.C_nb[:2, :, ends]
-        force = np.einsum("ijn,jn->in", C, cross(w, cross(dw, np.outer(r_b, np.ones(ends.size)))))
-        self._lag_force += self._lag_s * force.sum(axis=1)
-        self._lag_time += ends.size
+        w = motion.w_ib_b[:, end]
+        late_b = self._lag_s * np.cross(motion.dw_ib_b[:, end], r_b)
+        return C @ skew(w), C @ skew(r_b), C @ late_b, C @ np.cross(w, late_b)
 
     def tilt_covariance(self, Q: Array) -> Array:
         """(3, 3) of the misalignment, east, north, up [rad^2], for the navigated Q (4,)."""
-        east, north = self._lag_force / (self._gravity * max(self._lag_time, 1.0))
-        lag_tilt = np.array([-north, east, 0.0])
-        growth = max(1.0, self.consistency) if self.consistency == self.consistency else 1.0
-        covariance: Array = growth * self._filter.tilt_covariance(Q)
-        return covariance + np.outer(lag_tilt, lag_tilt)
+        return self._filter.tilt_covariance(Q, self._constants)
 
     @property
     def consistency(self) -> float:

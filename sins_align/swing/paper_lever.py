@@ -13,8 +13,10 @@ from sins_align.types import Array, LeverArm
 # A specific force below this is lost in what the model leaves out: floor of the noise that
 # weighs the prior against the data [m/s^2].
 _FORCE_FLOOR = 1e-4
-# An axis counts as observable where its excitation is so many times what gyro noise feigns.
-_EXCITATION = 5.0
+# An axis counts as observable where its excitation is so many times what gyro noise feigns,
+# and above what rounding does [1/s^4].
+_EXCITATION = 2.0
+_EXCITATION_FLOOR = 1e-10
 # What holds an unobservable axis at its prior [m].
 _FROZEN_SIGMA = 1e-6
 
@@ -130,39 +132,42 @@ class LeverRegression:
             return np.zeros(3, dtype=np.bool_)
         held = self._matrix + np.diag(np.full(self._vector.size, 1e-12 * self._count))
         excitation = 1.0 / (np.diag(np.linalg.inv(held))[:3] * self._count)
-        return np.asarray(excitation > _EXCITATION**2 * (self._feigned + 2e-12), dtype=np.bool_)
+        floor = _EXCITATION * self._feigned + _EXCITATION_FLOOR
+        return np.asarray(excitation > floor, dtype=np.bool_)
 
     def solve(self) -> LeverSolution:
         """Lever arm and level misalignment; without data, the prior and zeros.
 
+        Noise of the derivative adds 2 sigma^2 I a sample to H1^T H1, which would draw the lever
+        arm toward zero: it is taken off again. With the paper's gyros that changes nothing.
+
         The covariance is that of the least squares, scaled by the residuals, and on top of it
-        what constant accelerometer biases do, and the squares of two known errors: what the
-        lag of the derivative does, and what its noise does, which as noise of the regressors
-        draws the lever arm toward its prior.
+        what constant accelerometer biases do, and the square of what the lag does.
         """
         observable = self._observable()
         prior_sigma = max(self._prior_sigma, _FROZEN_SIGMA)
         held = np.where(observable, prior_sigma, _FROZEN_SIGMA)
-        matrix = self._matrix.copy()
-        matrix[[0, 1, 2], [0, 1, 2]] += (self._force_noise / held) ** 2
+        feigned = np.where(observable, self._count * self._feigned, 0.0)
+        matrix, vector = self._matrix.copy(), self._vector.copy()
+        matrix[[0, 1, 2], [0, 1, 2]] += (self._force_noise / held) ** 2 - feigned
+        vector[:3] += feigned * self._prior
         if self._misaligned:
             matrix[[3, 4], [3, 4]] += self._force_noise**2  # 1 rad
-        solution = np.linalg.solve(matrix, self._vector)
-        freedom = max(3 * self._count - solution.size, 1)
-        residual = (self._square - solution @ self._vector) / freedom
-        variance = max(float(residual), self._force_noise**2)
         inverse = np.linalg.inv(matrix)
+        solution = inverse @ vector
         lever_arm = self._prior + solution[:3]
-        covariance = variance * inverse[:3, :3]
+        covariance = self._variance(solution) * inverse[:3, :3]
         by_bias = inverse[:3] @ self._biased
         covariance += self._bias_variance * by_bias @ by_bias.T
-        covariance += _square_of(inverse[:3] @ self._lagging @ lever_arm)
-        covariance += _square_of(inverse[:3, :3] @ solution[:3] * (self._count * self._feigned))
+        by_lag = inverse[:3] @ self._lagging @ lever_arm
+        covariance += np.outer(by_lag, by_lag)
         covariance[~observable, ~observable] = self._prior_sigma**2
         x, y, z = (bool(axis) for axis in observable)
         lever = LeverArm(lever_arm, covariance, (x, y, z))
         return LeverSolution(lever, solution[3:] if self._misaligned else np.zeros(2))
 
-
-def _square_of(error: Array) -> Array:
-    return np.outer(error, error)
+    def _variance(self, solution: Array) -> float:
+        """Of one component of y, from the residuals [m^2/s^4]."""
+        squares = self._square - solution @ (2.0 * self._vector - self._matrix @ solution)
+        freedom = max(3 * self._count - solution.size, 1)
+        return max(float(squares) / freedom, self._force_noise**2)
