@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sins_align.swing.epochs import Epochs
 from sins_align.types import Array
 
-# Gyro noise alone gives a second difference of 2 ARW T^-1.5; a direction counts as excited
-# from so many times that on.
-EXCITED_RATIO = 10.0
+# Gyro noise alone gives a second difference of 2 ARW T^-1.5; what is less than so many times
+# that is no motion.
+GYRO_NOISE_RATIO = 10.0
+# A swing of 1 deg at 1/8 Hz, say: from there on the lever arm acts whatever it is, ...
+STRONG_SWING = 5e-3  # [rad/s^2]
+# ... and below only where it can be known so well that the estimate mends more than its noise
+# spoils: a parked vehicle in the wind would fit half a metre of noise.
+USEFUL_SIGMA = 0.05  # [m]
 
 
 class LeverExcitation:
-    """Mean square of D = second difference of C over T^2, against the gyro's noise.
+    """Mean square of D = second difference of C over T^2, in each direction of b.
 
     The lever arm acts through C r. What of C r is constant or linear in time cannot be told
-    from the start position and velocity, and what is gyro noise is no motion.
+    from the start position and velocity; the second difference is free of both.
 
     Parameters
     ----------
     gyro_noise : angle random walk [rad/sqrt(s)]
+    position_noise : of the swing centre at an epoch [m]
     """
 
-    def __init__(self, gyro_noise: float) -> None:
+    def __init__(self, gyro_noise: float, position_noise: float) -> None:
         self._gyro_noise = gyro_noise
+        self._position_noise = position_noise
         self._sum = np.zeros((3, 3))
-        self._floor = 0.0
+        self._gyro_sum = 0.0
+        self._position_sum = 0.0
         self._count = 0
 
     def update(self, epochs: Epochs) -> None:
@@ -37,12 +47,18 @@ class LeverExcitation:
         D = (C[2:] - 2.0 * C[1:-1] + C[:-2]) / (T * T)[:, None, None]
         flat = D.reshape(-1, 3)
         self._sum += flat.T @ flat
-        self._floor += float((4.0 * self._gyro_noise**2 * T**-3).sum())
+        self._gyro_sum += float((4.0 * self._gyro_noise**2 * T**-3).sum())
+        self._position_sum += float((6.0 * self._position_noise**2 * T**-4).sum())
         self._count += T.shape[0]
 
     def free_directions(self) -> Array:
-        """(3, m) orthonormal directions in b that are excited."""
+        """(3, m) orthonormal directions in b whose lever arm is to be estimated."""
         if self._count == 0:
             return np.zeros((3, 0))
-        values, vectors = np.linalg.eigh(self._sum)
-        return vectors[:, values > EXCITED_RATIO**2 * self._floor]
+        squares, vectors = np.linalg.eigh(self._sum)
+        motion = squares > GYRO_NOISE_RATIO**2 * self._gyro_sum
+        strong = squares > STRONG_SWING**2 * self._count
+        # sigma_r of least squares on the second differences alone.
+        limit = math.sqrt(self._position_sum / self._count) / USEFUL_SIGMA
+        useful = squares > limit**2
+        return vectors[:, motion & (strong | useful)]

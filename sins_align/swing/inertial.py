@@ -98,7 +98,7 @@ class InertialAligner:
             GRAVITY_ANOMALY if grade.accel_bias > 0.0 else 0.0,
             self._noise.calibration,
         )
-        self._excitation = LeverExcitation(self._noise.gyro)
+        self._excitation = LeverExcitation(self._noise.gyro, self._noise.position)
         self._epochs = Epochs()
         self._filter = TwoStageFilter(self._noise)
         self._filtered = 0  # epochs that the filter has taken in
