@@ -29,12 +29,11 @@ def normal_gravity(latitude: float, altitude: float = 0.0) -> float:
     altitude : above the ellipsoid [m]
     """
     s2 = math.sin(latitude) ** 2
-    surface = (
-        GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * s2) / math.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
-    )
+    surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * s2) / math.sqrt(1.0 - ECCENTRICITY_SQUARED * s2)
     h = altitude / SEMI_MAJOR_AXIS
-    return surface * (1.0 - 2.0 * h * (1.0 + FLATTENING + GRAVITY_RATIO - 2.0 * FLATTENING * s2)
-                      + 3.0 * h * h)
+    return surface * (
+        1.0 - 2.0 * h * (1.0 + FLATTENING + GRAVITY_RATIO - 2.0 * FLATTENING * s2) + 3.0 * h * h
+    )
 
 
 def radii_of_curvature(latitude: float) -> tuple[float, float]:

@@ -205,9 +205,7 @@ def _slope(t: Array, mean: Array, step: float | None) -> Array:
     return slope
 
 
-def velocity_increments(
-    t: Array, w: Array, f: Array, theta: Array, step: float | None
-) -> Array:
+def velocity_increments(t: Array, w: Array, f: Array, theta: Array, step: float | None) -> Array:
     """int C f dt of the intervals from interval means, in b at their start: (3, n) [m/s].
 
     dv + 1/2 th x dv + 1/6 th x (th x dv) + dt^3/12 (w x df/dt + f x dw/dt)

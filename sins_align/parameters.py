@@ -57,9 +57,7 @@ class Parameter:
             if not isinstance(value, str):
                 raise ConfigError(f"{self.name}: {value!r} is not a text")
             if self.choices and value not in self.choices:
-                raise ConfigError(
-                    f"{self.name}: {value!r} is not one of {', '.join(self.choices)}"
-                )
+                raise ConfigError(f"{self.name}: {value!r} is not one of {', '.join(self.choices)}")
             return value
         number = self._check_number(value)
         if isinstance(self.default, int):
@@ -100,20 +98,27 @@ def _grade_override(name: str, what: str) -> Parameter:
 
 
 PARAMETERS: tuple[Parameter, ...] = (
+    Parameter("method", "inertial", "estimation method", SWING, choices=("inertial", "paper")),
     Parameter(
-        "method", "inertial", "estimation method", SWING, choices=("inertial", "paper")
+        "latitude_deg",
+        NAN,
+        "geodetic latitude, north positive; NaN: from topic fix",
+        low=-90.0,
+        high=90.0,
     ),
     Parameter(
-        "latitude_deg", NAN, "geodetic latitude, north positive; NaN: from topic fix",
-        low=-90.0, high=90.0,
+        "longitude_deg",
+        NAN,
+        "longitude, east positive; NaN: from topic fix, else 0",
+        low=-180.0,
+        high=360.0,
     ),
     Parameter(
-        "longitude_deg", NAN, "longitude, east positive; NaN: from topic fix, else 0",
-        low=-180.0, high=360.0,
-    ),
-    Parameter(
-        "altitude_m", NAN, "height above the ellipsoid; NaN: from topic fix, else 0",
-        low=-1000.0, high=20000.0,
+        "altitude_m",
+        NAN,
+        "height above the ellipsoid; NaN: from topic fix, else 0",
+        low=-1000.0,
+        high=20000.0,
     ),
     Parameter("imu_grade", "rlg", "noise grade, a name in imu_grades.yaml", choices=grade_names()),
     _grade_override("gyro_bias_deg_h", "gyro bias, 1 sigma"),
@@ -122,75 +127,113 @@ PARAMETERS: tuple[Parameter, ...] = (
     _grade_override("accel_bias_ug", "accelerometer bias, 1 sigma"),
     _grade_override("accel_vrw_ug_sqrt_hz", "velocity random walk"),
     Parameter(
-        "imu_sampling", "instantaneous",
+        "imu_sampling",
+        "instantaneous",
         "what a sample stands for: the mean over the interval that ends at its stamp, or the"
         " instantaneous value",
         choices=("mean", "instantaneous"),
     ),
     Parameter(
-        "heading_threshold_arcmin", 6.0, "aligned when sigma of heading is below",
-        low=1e-6, high=10800.0,
+        "heading_threshold_arcmin",
+        6.0,
+        "aligned when sigma of heading is below",
+        low=1e-6,
+        high=10800.0,
     ),
     Parameter(
-        "level_threshold_arcsec", 30.0, "aligned when sigma of both levels is below",
-        low=1e-6, high=324000.0,
+        "level_threshold_arcsec",
+        30.0,
+        "aligned when sigma of both levels is below",
+        low=1e-6,
+        high=324000.0,
     ),
     Parameter("hold_s", 10.0, "and has been for so long", low=0.0, high=3600.0),
     Parameter("publish_rate_hz", 50.0, "rate of the attitude output", low=0.1, high=1000.0),
     Parameter("nav_frame", "map", "frame_id of the ENU frame"),
     Parameter("result_file", "", "result.json is written here; empty: nowhere"),
+    Parameter("executor", "single", "rclpy executor of the node", choices=("single", "events")),
     Parameter(
-        "executor", "single", "rclpy executor of the node", choices=("single", "events")
+        "passes",
+        3,
+        "at most so many backtracking passes over the stored increments",
+        low=1,
+        high=10,
     ),
     Parameter(
-        "passes", 3, "at most so many backtracking passes over the stored increments",
-        low=1, high=10,
+        "lever_arm_prior_m",
+        [0.0, 0.0, 0.0],
+        "prior of the lever arm, swing centre to IMU, FLU",
+        SWING,
+        low=-1000.0,
+        high=1000.0,
+        length=3,
     ),
     Parameter(
-        "lever_arm_prior_m", [0.0, 0.0, 0.0], "prior of the lever arm, swing centre to IMU, FLU",
-        SWING, low=-1000.0, high=1000.0, length=3,
+        "lever_arm_prior_sigma_m",
+        10.0,
+        "its 1 sigma per axis; 0: the prior is exact",
+        SWING,
+        low=0.0,
+        high=1000.0,
     ),
     Parameter(
-        "lever_arm_prior_sigma_m", 10.0, "its 1 sigma per axis; 0: the prior is exact",
-        SWING, low=0.0, high=1000.0,
-    ),
-    Parameter(
-        "position_noise_m", 0.001,
+        "position_noise_m",
+        0.001,
         "floor of the swing centre's position noise at each filter step, 1 sigma; it grows"
         " with the innovations",
-        SWING, low=0.0, high=100.0,
+        SWING,
+        low=0.0,
+        high=100.0,
     ),
     Parameter(
-        "position_walk_m_sqrt_s", NAN,
+        "position_walk_m_sqrt_s",
+        NAN,
         "random walk of the swing centre; NaN: 0.4 position_noise_m per sqrt(s)",
-        SWING, low=0.0, high=100.0,
+        SWING,
+        low=0.0,
+        high=100.0,
     ),
     Parameter(
-        "differentiator", "eso", "paper: source of the angular acceleration", SWING,
+        "differentiator",
+        "eso",
+        "paper: source of the angular acceleration",
+        SWING,
         choices=("eso", "central"),
     ),
     Parameter(
-        "regression", "epls", "paper: lever arm by least squares with (epls) or without (ls)"
-        " the misalignment columns",
-        SWING, choices=("ls", "epls"),
+        "regression",
+        "epls",
+        "paper: lever arm by least squares with (epls) or without (ls) the misalignment columns",
+        SWING,
+        choices=("ls", "epls"),
     ),
     Parameter(
-        "eso_bandwidth_rad_s", NAN,
+        "eso_bandwidth_rad_s",
+        NAN,
         "paper: bandwidth of the observer; NaN: 1 / sampling interval, as printed at 1 kHz",
-        SWING, low=1e-3, high=1e5,
+        SWING,
+        low=1e-3,
+        high=1e5,
     ),
     Parameter(
-        "switch_times_s", [15.0, 30.0, 70.0],
+        "switch_times_s",
+        [15.0, 30.0, 70.0],
         "paper: times of the filter's closed-loop switches, counted from the level phase's end",
-        SWING, low=0.0, high=1e5,
+        SWING,
+        low=0.0,
+        high=1e5,
     ),
     Parameter(
         "level_phase_s", 120.0, "paper: duration of the level phase", SWING, low=1.0, high=1e5
     ),
     Parameter(
-        "initial_rpy_deg", [0.0, 0.0, 0.0],
+        "initial_rpy_deg",
+        [0.0, 0.0, 0.0],
         "paper: attitude it starts from: roll, pitch, yaw of FLU in ENU (REP-103)",
-        SWING, low=-360.0, high=360.0, length=3,
+        SWING,
+        low=-360.0,
+        high=360.0,
+        length=3,
     ),
 )
 
@@ -212,8 +255,7 @@ def check_values(node: str, values: Mapping[str, object]) -> dict[str, Value]:
         if key not in table:
             raise ConfigError(f"{key}: unknown parameter of {node}")
     return {
-        name: p.check(values[name]) if name in values else p.default
-        for name, p in table.items()
+        name: p.check(values[name]) if name in values else p.default for name, p in table.items()
     }
 
 

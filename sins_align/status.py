@@ -68,5 +68,5 @@ class Completer:
         level = max(east, north)
         if level >= self._completion.level_threshold:
             threshold = self._completion.level_threshold / ARCSEC
-            missing.append(f"level sigma {level / ARCSEC:.1f}\" above {threshold:g}\"")
+            missing.append(f'level sigma {level / ARCSEC:.1f}" above {threshold:g}"')
         return "; ".join(missing), remedy

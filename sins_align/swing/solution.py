@@ -33,7 +33,12 @@ from sins_align.types import Array
 
 # Elements of x.
 KAPPA, X_V0, X_R, X_BG, X_BA, X_G = (
-    slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 15), 15,
+    slice(0, 3),
+    slice(3, 6),
+    slice(6, 9),
+    slice(9, 12),
+    slice(12, 15),
+    15,
 )
 MATRICES = slice(16, 34)
 # A direction of the accelerometer bias is estimated where the data alone know it better

@@ -116,9 +116,9 @@ class Steps(NamedTuple):
     C: Array  # (K, 3, 3) at the end of the epoch
 
 
-def model_force(epochs: Epochs, first: int, about: Linearisation, gravity: Array) -> tuple[
-    Array, Array
-]:
+def model_force(
+    epochs: Epochs, first: int, about: Linearisation, gravity: Array
+) -> tuple[Array, Array]:
     """int F dt and int int F dt dt over the epochs from `first` on: (K, 3) each.
 
     F = d'' - g(t) with d = C^ r: the difference of the model's velocity and position, less
