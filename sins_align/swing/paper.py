@@ -36,17 +36,19 @@ class PaperAligner:
     phase the gyros carry the attitude, and the least squares that find the lever arm correct
     its levels. Then the velocity at the swing centre, which ought to be zero, tells a Kalman
     filter the attitude. At the switching times its state is fed back and it begins anew; every
-    30 s it gets the lever arm found so far. Feedback waits for the end of the block.
+    30 s it gets the lever arm found so far. Feedback waits for the end of the block; a switch
+    waits until the filter knows the heading to 10 deg, which with gyros like the paper's it
+    does at once, and a new lever arm until it is better than the one in use.
 
     Nothing tells the heading before the filter runs: there is no estimate in the level phase,
     and after it the covariance starts with 10, 10, 30 deg. A start whose heading is wrong by
-    more than about 90 deg does not converge; `consistency` is then far above 1.
+    nearly 180 deg does not converge; `consistency` is then far above 1, and above 10 the
+    covariance is that of the start again.
 
-    The covariance covers white noise, the lever arm's error, the lag of the derivative and, as
-    constants that the method does not estimate, the biases of the grade: sigma_ba / g for the
-    levels, `heading_limit` for heading. It grows with `consistency` where that is above 1. It
-    does not cover scale factors, sensor misalignment, or a swing centre that moves without the
-    innovations showing it.
+    The covariance covers white noise, the lever arm's error, the lag of the derivative, and the
+    biases of the grade, which the method does not estimate. It grows with `consistency` where
+    that is above 1. It does not cover scale factors, sensor misalignment, or a motion of the
+    swing centre that the innovations do not show.
 
     Samples: instantaneous values are used as they are, one sample behind the block. Interval
     means give the rotation over their interval, and averages of two neighbours stand for the
@@ -74,6 +76,7 @@ class PaperAligner:
         )
         self._Q = quaternion_from_dcm(dcm_from_rpy(*config.paper.initial_rpy))
         self._fine: FineAlignment | None = None
+        self._switch_due = False
         self._first_ns = self._stamp_ns = 0
 
     def _make_differentiator(self) -> Differentiator:
@@ -93,6 +96,11 @@ class PaperAligner:
         begin_s, end_s = ((ns - self._first_ns) * 1e-9 for ns in (begin_ns, self._stamp_ns))
         for event in events(self._config.paper, begin_s, end_s):
             self._feed_back(event, motion, self._regression)
+        if self._fine is not None and self._switch_due and self._fine.knows_heading(self._Q):
+            self._switch_due = False
+            self._Q = self._fine.corrected(self._Q)
+            self._fine.switch(self._Q, motion, self._lever)
+            self._regression.restart()
 
     def _make_regression(self, block: ImuBlock) -> LeverRegression:
         interval = float(block.stamp_ns[-1] - block.stamp_ns[0]) * 1e-9 / (block.stamp_ns.size - 1)
@@ -140,16 +148,18 @@ class PaperAligner:
             self._Q = multiply_quaternions(quaternion_from_rotation_vector(-tilt), self._Q)
         elif event is Event.FINE:
             h = float(motion.t[-1]) / (motion.t.size - 1)
-            self._fine = FineAlignment(self._earth, self._grade, h, self._differentiate.lag(h))
-            self._fine.reset(self._Q)
+            self._fine = FineAlignment(
+                self._earth, self._gravity, self._grade, h, self._differentiate.lag(h)
+            )
+            self._fine.start(self._Q, motion, self._lever)
         elif event is Event.LEVER and self._fine is not None:
             lever = regression.solve().lever_arm
-            self._fine.change_lever_arm(motion, lever.r_b - self._lever.r_b)
-            self._lever = lever
-        elif event is Event.SWITCH and self._fine is not None:
-            self._Q = self._fine.corrected(self._Q)
-            self._fine.switch(self._Q)
-            regression.restart()
+            # After a restart the fit may still be poorer than the one in use.
+            if np.trace(lever.covariance) < np.trace(self._lever.covariance):
+                self._fine.change_lever_arm(motion, lever.r_b - self._lever.r_b)
+                self._lever = lever
+        elif event is Event.SWITCH:
+            self._switch_due = True
 
     @property
     def estimate(self) -> Estimate | None:

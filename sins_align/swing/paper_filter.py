@@ -18,26 +18,27 @@ class QuaternionFilter:
     Parameters
     ----------
     tilt_sigma : (3,) 1 sigma of the misalignment at a reset, east, north, up [rad]
-    velocity_sigma : 1 sigma of dV at a reset [m/s]
     constants : their number m
     """
 
-    def __init__(self, tilt_sigma: Array, velocity_sigma: float, constants: int) -> None:
+    def __init__(self, tilt_sigma: Array, constants: int) -> None:
         self._tilt_variance = tilt_sigma**2
-        self._velocity_variance = velocity_sigma**2
         self.x = np.zeros(6)
         self.P = np.zeros((6, 6))
         self._B = np.zeros((6, constants))
         self._squares = 0.0
         self._updates = 0
 
-    def reset(self, Q: Array) -> None:
-        """Begin at the attitude Q (4,) with no known error; P0 is 1/4 Xi S Xi^T: rank 3."""
+    def reset(self, Q: Array, velocity_covariance: Array) -> None:
+        """Begin at the attitude Q (4,) with no known error.
+
+        P0 of dQ is 1/4 Xi S Xi^T, of rank 3; that of dV is `velocity_covariance` (2, 2).
+        """
         half_xi = tilt_to_quaternion(Q)
         self.x = np.zeros(6)
         self.P = np.zeros((6, 6))
         self.P[:4, :4] = half_xi * self._tilt_variance @ half_xi.T
-        self.P[[4, 5], [4, 5]] = self._velocity_variance
+        self.P[4:, 4:] = velocity_covariance
         self._B = np.zeros_like(self._B)
         self._squares = 0.0
         self._updates = 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sins_align.grades import ImuGrade
@@ -13,6 +15,8 @@ from sins_align.types import Array, IntArray, LeverArm
 
 # Where the filter begins, and begins anew at every switch.
 _TILT_SIGMA = np.radians([10.0, 10.0, 30.0])
+_LOST = 10.0  # consistency
+_HEADING_TO_SWITCH = math.radians(10.0)
 _VELOCITY_SIGMA = 1e-3  # [m/s]
 # Floor of the measurement noise [m/s].
 _VELOCITY_NOISE = 1e-5
@@ -25,34 +29,48 @@ class FineAlignment:
 
     Parameters
     ----------
+    gravity : [m/s^2]
     interval_s : of the samples [s]
     lag_s : of the angular acceleration [s]
     """
 
-    def __init__(self, earth: Earth, grade: ImuGrade, interval_s: float, lag_s: float) -> None:
+    def __init__(
+        self, earth: Earth, gravity: float, grade: ImuGrade, interval_s: float, lag_s: float
+    ) -> None:
         self._earth = earth
+        self._gravity = gravity
         self._noise = np.diag(np.repeat([grade.gyro_arw**2, grade.accel_vrw**2], 3))
         self._rate_variance = grade.gyro_arw**2 / interval_s
         self._lag_s = lag_s
         # Constants: gyro bias, accelerometer bias, error of the lever arm, the lag (as 1).
         gyro = grade.gyro_bias**2 + grade.gyro_bias_instability**2
         self._constants = np.diag(np.repeat([gyro, grade.accel_bias**2, 0.0, 1.0], [3, 3, 3, 1]))
-        self._filter = QuaternionFilter(_TILT_SIGMA, _VELOCITY_SIGMA, 10)
+        self._filter = QuaternionFilter(_TILT_SIGMA, 10)
         self.V = np.zeros(2)
 
-    def reset(self, Q: Array) -> None:
-        """Begin at the attitude Q (4,), its error unknown."""
-        self._filter.reset(Q)
+    def start(self, Q: Array, motion: Motion, lever: LeverArm) -> None:
+        """Begin at the attitude Q (4,), its error unknown, at the end of `motion`.
+
+        The velocity is zero but for what the lever arm's error has to do with it.
+        """
+        C_w = motion.C_nb[:2, :, -1] @ skew(motion.w_ib_b[:, -1])
+        velocity = _VELOCITY_SIGMA**2 * np.eye(2) + C_w @ lever.covariance @ C_w.T
+        self._filter.reset(Q, velocity)
+
+    def knows_heading(self, Q: Array) -> bool:
+        """Whether feeding back the state to the navigated Q (4,) does good, not harm."""
+        covariance = self._filter.tilt_covariance(Q, self._constants)
+        return float(covariance[2, 2]) < _HEADING_TO_SWITCH**2
 
     def corrected(self, Q: Array) -> Array:
         """The navigated attitude Q (4,) without the error found: a unit quaternion."""
         corrected = Q - self._filter.x[:4]
         return np.asarray(corrected / np.linalg.norm(corrected))
 
-    def switch(self, Q: Array) -> None:
+    def switch(self, Q: Array, motion: Motion, lever: LeverArm) -> None:
         """The caller has corrected its attitude to Q (4,): correct the velocity, begin anew."""
         self.V = self.V - self._filter.x[4:]
-        self.reset(Q)
+        self.start(Q, motion, lever)
 
     def change_lever_arm(self, motion: Motion, step_b: Array) -> None:
         """The lever arm changes by `step_b` (3,) [m] at the end of `motion`.
@@ -69,7 +87,7 @@ class FineAlignment:
         ends = nodes[grid.filter]
         f_b = centre_specific_force(motion.w_ib_b, motion.dw_ib_b, motion.f_ib_b, lever.r_b)
         dV = integrate(motion.t, np.einsum("ijn,jn->in", motion.C_nb[:2], f_b), ends)
-        transitions = self._transitions(motion, nodes, f_b)
+        transitions = self._transitions(motion, nodes)
         for k, end in enumerate(ends[1:]):
             transition = np.eye(6)
             for step in transitions[grid.filter[k] : grid.filter[k + 1]]:
@@ -91,13 +109,18 @@ class FineAlignment:
             self._filter.correct(self.V, R, seen)
         self._constants[6:9, 6:9] = lever.covariance
 
-    def _transitions(self, motion: Motion, nodes: IntArray, f_b: Array) -> Array:
-        """I + A dt + (A dt)^2 / 2 of every navigation step, A the mean of its ends: (M, 6, 6)."""
+    def _transitions(self, motion: Motion, nodes: IntArray) -> Array:
+        """I + A dt + (A dt)^2 / 2 of every navigation step, A the mean of its ends: (M, 6, 6).
+
+        The paper puts the measured specific force into A. It is replaced by what it ought to
+        be at the swing centre, -C_bn g_n: a heading error multiplies the noise of A, which
+        comes back as false knowledge of the heading.
+        """
         A_nodes = A(
             motion.Q[:, nodes].T,
             self.V,
             motion.w_ib_b[:, nodes].T,
-            f_b[:, nodes].T,
+            self._gravity * motion.C_nb[2][:, nodes].T,
             self._earth,
         )
         dt = np.diff(motion.t[nodes])[:, np.newaxis, np.newaxis]
@@ -127,7 +150,12 @@ class FineAlignment:
         return C @ skew(w), C @ skew(r_b), C @ late_b, C @ np.cross(w, late_b)
 
     def tilt_covariance(self, Q: Array) -> Array:
-        """(3, 3) of the misalignment, east, north, up [rad^2], for the navigated Q (4,)."""
+        """(3, 3) of the misalignment, east, north, up [rad^2], for the navigated Q (4,).
+
+        That of the start where the innovations say that the filter has lost its way.
+        """
+        if self.consistency > _LOST:
+            return np.diag(_TILT_SIGMA**2)
         return self._filter.tilt_covariance(Q, self._constants)
 
     @property
