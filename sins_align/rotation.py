@@ -53,7 +53,21 @@ def cross(a: Array, b: Array) -> Array:
 
 def exp_rotation(phi: Array) -> Array:
     """C = Exp([phi x]), Rodrigues; phi (3,) [rad], result (3, 3)."""
-    return dcm_from_quaternion(quaternion_from_rotation_vector(np.asarray(phi, dtype=float)))
+    x, y, z = phi.tolist()
+    square = x * x + y * y + z * z
+    if square < 1e-8:
+        # sin(a)/a and (1 - cos(a))/a^2 by their series: the next terms are below 1e-18.
+        s, c = 1.0 - square / 6.0, 0.5 - square / 24.0
+    else:
+        angle = math.sqrt(square)
+        s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+    return np.array(
+        [
+            [1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y],
+            [c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x],
+            [c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)],
+        ]
+    )
 
 
 def log_rotation(C: Array) -> Array:
