@@ -15,8 +15,10 @@ from sins_align.types import Array, IntArray, LeverArm
 
 # Where the filter begins, and begins anew at every switch.
 _TILT_SIGMA = np.radians([10.0, 10.0, 30.0])
-_LOST = 10.0  # consistency
+# A switch that feeds back a poorer heading than the start's would do harm.
 _HEADING_TO_SWITCH = math.radians(10.0)
+# Innovations ten times too large in the square are no noise: the model does not hold.
+_LOST = 10.0
 _VELOCITY_SIGMA = 1e-3  # [m/s]
 # Floor of the measurement noise [m/s].
 _VELOCITY_NOISE = 1e-5

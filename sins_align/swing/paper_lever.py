@@ -67,7 +67,7 @@ class LeverRegression:
     """Accumulated least squares y = H1 r + H2 psi, eqs. (12) and (14).
 
     It is the information form of the recursion (11). The prior of the lever arm takes the
-    place of the paper's P0 = 1e8 I, which for its accelerometers is one of 2 km.
+    place of the paper's P0 = 1e8 I, which for its accelerometers is one of 2 m.
 
     Parameters
     ----------
