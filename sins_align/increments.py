@@ -11,6 +11,7 @@ irregular stamps; they agree with the truth of a swing to the rounding of the st
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
@@ -38,8 +39,8 @@ class Windows(NamedTuple):
     """Integrals over consecutive windows of one block.
 
     duration_s : (W,) lengths
-    u, s : (3, W) [m/s], [m]
-    B, BB : (3, 3, W) [s], [s^2]
+    u, s : (W, 3) [m/s], [m]
+    B, BB : (W, 3, 3) [s], [s^2]
     q_end : (4, W) rotation of b at the end of the window to the axes of the block
     """
 
@@ -51,19 +52,7 @@ class Windows(NamedTuple):
     q_end: Array
 
 
-class _Weights(NamedTuple):
-    """Weights on the nodes of one window.
-
-    single, double : (n+1,) of int g dt and of int int g dt dt = int (T - t) g dt
-    tail : (n,) of int int g dt dt on the increments int g dt of each interval
-    """
-
-    single: Array
-    double: Array
-    tail: Array
-
-
-def _stencil_weights(t: Array) -> tuple[Array, Array, Array]:
+def _stencil_weights(t: Array) -> tuple[IntArray, Array, Array]:
     """Weights of the local cubic through four nodes, for each interval of t (n+1,).
 
     Returns start (n,) of the stencil, and the weights (n, 4) of int g dt and of
@@ -84,16 +73,6 @@ def _stencil_weights(t: Array) -> tuple[Array, Array, Array]:
     single = np.einsum("ng,ngj->nj", weights, basis)
     double = np.einsum("ng,ngj->nj", weights * (t[-1] - x), basis)
     return start, single, double
-
-
-def _node_weights(t: Array) -> _Weights:
-    start, single, double = _stencil_weights(t)
-    columns = start[:, None] + np.arange(single.shape[1])
-    w1, w2 = np.zeros(t.shape[0]), np.zeros(t.shape[0])
-    np.add.at(w1, columns, single)
-    np.add.at(w2, columns, double)
-    # With I_k = sum of the increments up to node k, int I dt = sum_k w1_k I_k.
-    return _Weights(w1, w2, np.cumsum(w1[::-1])[::-1][1:].copy())
 
 
 @lru_cache(maxsize=64)
@@ -219,8 +198,22 @@ def velocity_increments(t: Array, w: Array, f: Array, theta: Array, step: float 
     return dv + 0.5 * turned + cross(theta, turned) / 6.0 + sculling * (dt * dt * dt / 12.0)
 
 
+def join_blocks(blocks: Sequence[ImuBlock]) -> ImuBlock:
+    """Consecutive blocks as one; each begins with the last sample of the one before."""
+    if len(blocks) == 1:
+        return blocks[0]
+    rest = blocks[1:]
+    return ImuBlock(
+        np.concatenate([blocks[0].stamp_ns, *(b.stamp_ns[1:] for b in rest)]),
+        np.concatenate([blocks[0].w_ib_b, *(b.w_ib_b[:, 1:] for b in rest)], axis=1),
+        np.concatenate([blocks[0].f_ib_b, *(b.f_ib_b[:, 1:] for b in rest)], axis=1),
+    )
+
+
 def integrate_rotation(block: ImuBlock, sampling: ImuSampling) -> Array:
     """Rotation of b at the last stamp to b at the first: (4,) quaternion."""
+    if block.stamp_ns.shape[0] == 1:
+        return np.array([1.0, 0.0, 0.0, 0.0])
     block = fill_gaps(block)
     t = (block.stamp_ns - block.stamp_ns[0]) * 1e-9
     theta = rotation_increments(t, block.w_ib_b, sampling, uniform_step(t))
@@ -255,42 +248,42 @@ def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Win
     rows[9:] = C[:, 0] * f[0]
     rows[9:] += C[:, 1] * f[1]
     rows[9:] += C[:, 2] * f[2]
-    of_C, of_f = _block_weights(t, step, tuple(int(e) for e in edges), sampling)
-    B, BB = (rows[:9] @ of_C).reshape(3, 3, 2, count).transpose(2, 0, 1, 3)
-    u, s = (rows[9:] @ of_f).reshape(3, 2, count).transpose(1, 0, 2)
+    sums = np.empty((count, 12, 2))
+    for k, (a, b) in enumerate(pairwise(edges.tolist())):
+        weights = _window_weights(t[a : b + 1], step)
+        if sampling is ImuSampling.MEAN:
+            np.matmul(rows[:9, a : b + 1], weights[:, :2], out=sums[k, :9])
+            np.matmul(rows[9:, a:b], weights[1:, 2:], out=sums[k, 9:])
+        else:
+            np.matmul(rows[:, a : b + 1], weights[:, :2], out=sums[k])
+    B, BB = sums[:, :9].reshape(count, 3, 3, 2).transpose(3, 0, 1, 2)
+    u, s = sums[:, 9:].transpose(2, 0, 1)
     return Windows(np.diff(t[edges]), u, s, B, BB, q[:, edges[1:]])
 
 
-def _block_weights(
-    t: Array, step: float | None, edges: tuple[int, ...], sampling: ImuSampling
-) -> tuple[Array, Array]:
-    """Weights (n+1, 2 W) of all windows: first the single integrals, then the double ones.
+def _window_weights(t: Array, step: float | None) -> Array:
+    """Weights of one window, by column (n+1, 4).
 
-    Returns those on C at the nodes, and those on the rows that sum to u.
+    0, 1 : on nodes, of int g dt and of int int g dt dt = int (T - t) g dt
+    2, 3 : on the increments int g dt of the intervals, from row 1 on, of the same two
     """
     if step is None:
-        return _assemble(t, edges, sampling)
-    unit = _unit_block_weights(edges, sampling)
-    powers = np.repeat((step, step * step), len(edges) - 1)
-    if sampling is ImuSampling.MEAN:
-        return unit[0] * powers, unit[1] * (powers / step)
-    return unit[0] * powers, unit[1] * powers
+        return _node_weights(t)
+    return _unit_weights(t.shape[0] - 1) * np.array([step, step * step, 1.0, step])
 
 
 @lru_cache(maxsize=64)
-def _unit_block_weights(edges: tuple[int, ...], sampling: ImuSampling) -> tuple[Array, Array]:
-    return _assemble(np.arange(edges[-1] + 1.0), edges, sampling)
+def _unit_weights(n: int) -> Array:
+    return _node_weights(np.arange(n + 1.0))
 
 
-def _assemble(t: Array, edges: tuple[int, ...], sampling: ImuSampling) -> tuple[Array, Array]:
-    count = len(edges) - 1
-    of_C = np.zeros((t.shape[0], 2 * count))
-    of_f = np.zeros_like(of_C)
-    for k, (a, b) in enumerate(pairwise(edges)):
-        single, double, tail = _node_weights(t[a : b + 1])
-        of_C[a : b + 1, k], of_C[a : b + 1, count + k] = single, double
-        if sampling is ImuSampling.MEAN:
-            of_f[a:b, k], of_f[a:b, count + k] = 1.0, tail
-        else:
-            of_f[:, k], of_f[:, count + k] = of_C[:, k], of_C[:, count + k]
-    return of_C, of_f
+def _node_weights(t: Array) -> Array:
+    start, single, double = _stencil_weights(t)
+    columns = start[:, None] + np.arange(single.shape[1])
+    weights = np.zeros((t.shape[0], 4))
+    np.add.at(weights[:, 0], columns, single)
+    np.add.at(weights[:, 1], columns, double)
+    weights[1:, 2] = 1.0
+    # With I_k the sum of the increments up to node k, int I dt = sum_k w_k I_k.
+    weights[1:, 3] = np.cumsum(weights[::-1, 0])[::-1][1:]
+    return weights

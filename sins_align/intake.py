@@ -162,9 +162,9 @@ class Intake:
             self._counts.imu_lost += lost
 
     def pending_block(self) -> ImuBlock | None:
-        """What has come since the last whole block, None where that is nothing."""
+        """The last sample of the last block and all since; None before there is a block."""
         pending = self._consolidate()
-        if pending is None or len(pending) < 2 or self._blocks == 0:
+        if pending is None or self._blocks == 0:
             return None
         return ImuBlock(*pending)
 

@@ -51,7 +51,6 @@ class Session:
         self._completer = Completer(self._config.completion)
         self._begin_reason = reason
         self._status = Status(State.WAITING, *self._waiting_reason())
-        self._latest: tuple[int, Estimate | None] = (-1, None)
 
     def _waiting_reason(self) -> tuple[str, str]:
         if self._position is None:
@@ -117,7 +116,7 @@ class Session:
             if block is not None:
                 if self._aligner is not None:
                     self._aligner.update(block)
-                    updates.append(self._conclude(int(block.stamp_ns[-1])))
+                    updates += self._conclude(int(block.stamp_ns[-1]))
                 continue
             if self._intake.broken_s is None:
                 return updates
@@ -126,14 +125,16 @@ class Session:
             self.restart(f"{self._intake.broken_s:.1f} s without IMU data")
             self._intake.add(rest, counted=True)
 
-    def _conclude(self, stamp_ns: int) -> Update:
+    def _conclude(self, stamp_ns: int) -> list[Update]:
+        """The block's update; none while the aligner's estimate is that of a block before."""
         assert self._aligner is not None and self._position is not None
         estimate = self._aligner.estimate
+        if estimate is not None and estimate.stamp_ns != stamp_ns:
+            return []
         elapsed = self._intake.elapsed_s(stamp_ns)
         limit = heading_limit(self._config.grade, self._position.latitude)
         self._status = self._completer.update(estimate, elapsed, limit, self._begin_reason)
-        self._latest = (stamp_ns, estimate)
-        return Update(stamp_ns, estimate, self._status)
+        return [Update(stamp_ns, estimate, self._status)]
 
     @property
     def estimate(self) -> Estimate | None:
@@ -143,5 +144,5 @@ class Session:
         """
         block = self._intake.pending_block()
         if block is None or self._aligner is None:
-            return self._latest[1]
+            return None
         return self._aligner.propagate(block)

@@ -57,10 +57,10 @@ class Epochs:
         C0 = dcm_from_quaternion(self._q)
         a["duration_s"][old:new] = windows.duration_s
         a["time_s"][old + 1 : new + 1] = a["time_s"][old] + np.cumsum(windows.duration_s)
-        a["u"][old:new] = (C0 @ windows.u).T
-        a["s"][old:new] = (C0 @ windows.s).T
-        a["B"][old:new] = C0 @ windows.B.transpose(2, 0, 1)
-        a["BB"][old:new] = C0 @ windows.BB.transpose(2, 0, 1)
+        a["u"][old:new] = windows.u @ C0.T
+        a["s"][old:new] = windows.s @ C0.T
+        a["B"][old:new] = C0 @ windows.B
+        a["BB"][old:new] = C0 @ windows.BB
         q = multiply_quaternions(self._q[:, None], windows.q_end)
         q /= np.sqrt((q * q).sum(axis=0))
         a["C"][old + 1 : new + 1] = dcm_from_quaternion(q).transpose(2, 0, 1)

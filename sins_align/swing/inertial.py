@@ -1,13 +1,15 @@
 """Alignment on a swinging base in inertial axes: from any attitude, no coarse alignment.
 
-The two-stage filter (`two_stage`) turns the stored increments into sums, `solution` the sums
-into attitude, lever arm and biases. This module decides when which of them runs:
+The two-stage filter (`two_stage`) turns the increments into sums, `solution` the sums into
+attitude, lever arm and biases. This module decides when which of them runs:
 
-- every cycle (1 s at first, up to 5 s) the filter takes in the new epochs and the sums are
-  solved, from the last solution on;
-- at the refresh times it runs over all stored increments again (backtracking), linearised
-  about the solution found so far, until the attitude stays within 1 % of its sigma, but
-  `passes` times at most.
+- at the end of every cycle, which grow from 1 s to 10 s, the blocks since the last one are
+  integrated, the filter takes them in and the sums are solved, from the last solution on;
+- at the refresh times the filter runs over all stored increments again (backtracking),
+  linearised about the solution found so far, until the attitude stays within 1 % of its
+  sigma, but `passes` times at most.
+
+Between two ends of cycles the attitude is carried by the gyros.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import numpy as np
 
 from sins_align.config import SwingConfig
 from sins_align.earth import EARTH_RATE, earth_rate_n, normal_gravity
-from sins_align.increments import integrate_rotation, integrate_windows
+from sins_align.increments import integrate_rotation, integrate_windows, join_blocks
 from sins_align.rotation import (
     dcm_from_quaternion,
     exp_rotation,
@@ -50,12 +52,16 @@ from sins_align.swing.two_stage import (
 )
 from sins_align.types import Array, Estimate, ImuBlock, LeverArm, Position
 
-EPOCHS_PER_BLOCK = 2
+EPOCH_S = 0.5
 # Times at which the stored increments are run over again [s]; then every three times later.
 REFRESH_S = (5.0, 10.0, 20.0, 30.0)
 REFRESH_FACTOR = 3.0
-CYCLE_SHARE = 0.05
-MAX_CYCLE_S = 5.0
+CYCLE_SHARE = 0.1  # of the time since the start
+MAX_CYCLE_S = 10.0
+# The noise model needs no new linearisation where the attitude has moved by less, and the
+# lever arm too.
+SAME_ATTITUDE = 0.01  # [rad]
+SAME_LEVER_ARM = 0.01  # [m]
 # A coarse attitude is one whose heading deserves the name.
 COARSE_SIGMA = math.radians(20.0)
 # These stand for sensors that claim to have no noise.
@@ -105,48 +111,69 @@ class InertialAligner:
         self._about: Linearisation | None = None
         self._solution: Solution | None = None
         self._estimate: Estimate | None = None
-        self._stamp_ns = 0
+        self._blocks: list[ImuBlock] = []  # since the last cycle
+        self._turned: list[Array] = []  # and the rotation over each, where asked for
+        self._first_ns: int | None = None
+        self._stamp_ns = 0  # end of the last cycle
         self._next_refresh_s = REFRESH_S[0]
         self._next_cycle_s = 0.0
 
     def update(self, block: ImuBlock) -> None:
         """Take in the next block of samples."""
-        windows = integrate_windows(block, self._config.sampling, EPOCHS_PER_BLOCK)
-        self._epochs.append(windows)
-        self._excitation.update(self._epochs)
-        self._stamp_ns = int(block.stamp_ns[-1])
-        now = float(self._epochs.time_s[-1])
+        self._blocks.append(block)
+        if self._first_ns is None:
+            self._first_ns = int(block.stamp_ns[0])
+        now = int(block.stamp_ns[-1] - self._first_ns) * 1e-9
         # Half a block of grace: the ends of blocks fall on stamps, not on the grid itself.
+        if now < self._next_cycle_s - 0.5:
+            return
+        self._next_cycle_s = now + min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
+        whole = join_blocks(self._blocks)
+        self._blocks, self._turned = [], []
+        self._stamp_ns = int(whole.stamp_ns[-1])
+        duration = int(whole.stamp_ns[-1] - whole.stamp_ns[0]) * 1e-9
+        count = round(duration / EPOCH_S)
+        self._epochs.append(integrate_windows(whole, self._config.sampling, count))
+        self._excitation.update(self._epochs)
         if now > self._next_refresh_s - 0.5:
             later = [t for t in REFRESH_S if t > now + 0.5]
             self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
             self._refresh()
-        elif self._solution is not None and now > self._next_cycle_s - 0.5:
+        elif self._solution is not None:
             self._advance()
             self._solution = self._solver().solve(self._filter.normal, self._solution)
-        if self._filtered == len(self._epochs):
-            self._next_cycle_s = now + min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
         self._estimate = self._conclude()
 
     @property
     def estimate(self) -> Estimate | None:
-        """At the last stamp of the last block; None before the coarse attitude exists."""
+        """At the end of the last cycle; None before the coarse attitude exists."""
         return self._estimate
 
     def propagate(self, block: ImuBlock) -> Estimate | None:
-        """`estimate` carried to the end of `block` by the gyros; changes nothing."""
+        """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside.
+
+        The rotation over whole blocks is kept, but it does not depend on who asks when.
+        """
         if self._estimate is None:
             return None
-        turned = integrate_rotation(block, self._config.sampling)
-        q = multiply_quaternions(self._epochs.q, turned)
-        ahead_s = int(block.stamp_ns[-1] - self._stamp_ns) * 1e-9
+        sampling = self._config.sampling
+        for passed in self._blocks[len(self._turned) :]:
+            self._turned.append(integrate_rotation(passed, sampling))
+        q = self._epochs.q
+        for turned in (*self._turned, integrate_rotation(block, sampling)):
+            q = multiply_quaternions(q, turned)
+        stamp_ns = int(block.stamp_ns[-1])
         C_b0b = dcm_from_quaternion(q / np.linalg.norm(q))
-        return self._estimate_at(int(block.stamp_ns[-1]), C_b0b, ahead_s)
+        return self._estimate_at(stamp_ns, C_b0b, (stamp_ns - self._stamp_ns) * 1e-9)
 
     def _refresh(self) -> None:
         """Run over the stored increments again until the attitude stays."""
         if self._solution is None or not self._is_coarse(self._solution):
             self._start()
+        elif self._is_linearised_about(self._solution):
+            self._advance()
+            self._solution = self._solver().solve(self._filter.normal, self._solution)
+            return
         for _ in range(self._config.passes):
             before = self._solution
             if before is None:
@@ -159,6 +186,18 @@ class InertialAligner:
             sigma = np.sqrt(self._solution.covariance.diagonal()[KAPPA])
             if (np.abs(moved) < 0.01 * sigma).all():
                 return
+
+    def _is_linearised_about(self, solution: Solution) -> bool:
+        """Whether another run over the increments would change nothing worth it.
+
+        Position noise that grew, grew with the solution of its time: a run with today's may
+        find that it need not have.
+        """
+        if self._about is None or self._filter.noise.has_grown:
+            return False
+        moved = log_rotation(solution.R @ self._about.R.T)
+        lever = solution.x[X_R] - self._about.r_b
+        return bool(np.abs(moved).max() < SAME_ATTITUDE and np.abs(lever).max() < SAME_LEVER_ARM)
 
     def _start(self) -> None:
         """Attitude from nothing: the model's force is minus the mean measured one."""
@@ -214,7 +253,7 @@ class InertialAligner:
         C_nb0 = exp_rotation(-self._earth_rate_n * t) @ solution.R.T
         C_nb = C_nb0 @ exp_rotation(phi) @ C_b0b
         # Error of the whole, in b0: the filter's own, its response to x, and kappa.
-        J = filter_.X[:, :-1] @ solution.jacobian()
+        J = filter_.X[:, :-1] @ solution.jacobian
         response = J[PHI].copy()
         response[:, KAPPA] -= np.eye(3)
         unfiltered_s = t - float(self._epochs.time_s[self._filtered])

@@ -11,10 +11,11 @@ by Gauss-Newton; the sums are exact, so that no step needs the data again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from sins_align.grades import ImuGrade
 from sins_align.rotation import exp_rotation, skew
@@ -41,9 +42,13 @@ KAPPA, X_V0, X_R, X_BG, X_BA, X_G = (
     15,
 )
 MATRICES = slice(16, 34)
+_LINEAR = np.arange(3, 15)
 # A direction of the accelerometer bias is estimated where the data alone know it better
 # than the prior by this ratio of variances; elsewhere it is considered.
 ESTIMATE_RATIO = 2.0
+# After a step as small as this and a tenth of sigma, what a further one would change is of
+# second order in it.
+SMALL_STEP = 1e-3  # [rad]
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ class Solution:
     x: Array
     covariance: Array
 
-    @property
+    @cached_property
     def theta(self) -> Array:
         """(p,) as the filter's columns take it."""
         theta = np.empty(self.x.shape[0] + 5)
@@ -108,16 +113,17 @@ class Solution:
         theta[BASE:] = self.x[MATRICES]
         return theta
 
+    @cached_property
     def jacobian(self) -> Array:
         """d theta / d x: (p, m)."""
         size = self.x.shape[0]
         J = np.zeros((size + 5, size))
         scale = 1.0 + self.x[X_G]
-        for j in range(3):
-            J[3 * j : 3 * j + 3, KAPPA] = -scale * skew(self.R[:, j])
-            J[3 * j : 3 * j + 3, X_G] = self.R[:, j]
-        J[9:BASE, 3:15] = np.eye(12)
-        J[BASE:, MATRICES] = np.eye(size - 16)
+        axes = self.R.T
+        J[ATTITUDE, KAPPA] = -scale * skew(axes).reshape(9, 3)
+        J[ATTITUDE, X_G] = axes.reshape(9)
+        J[_LINEAR + 6, _LINEAR] = 1.0
+        J[range(BASE, size + 5), range(MATRICES.start, size)] = 1.0
         return J
 
 
@@ -136,12 +142,10 @@ def start_attitude(normal: Array, prior: Prior) -> Array | None:
     weight = 1.0 / np.maximum(prior.variance[X_R], 1e-18)
     N[lever, lever] += np.diag(weight)
     b[lever] += weight * prior.mean[X_R]
-    scale = 1.0 / np.sqrt(np.diag(N))
     try:
-        factor = cho_factor(N * scale[:, None] * scale)
+        solution = _inverse(N) @ b
     except np.linalg.LinAlgError:
         return None
-    solution = scale * cho_solve(factor, scale * b)
     east, up = solution[0:3], solution[3:6]
     up = up / np.linalg.norm(up)
     east = east - up * (up @ east)
@@ -165,26 +169,28 @@ class Solver:
 
     def solve(self, normal: Array, start: Solution, iterations: int = 10) -> Solution:
         """Gauss-Newton from `start`, until the attitude stays, or `iterations`."""
-        basis, considered = self._parameters(self._reduced(normal, start)[0])
-        current = self._at_prior_outside(start, basis)
-        for _ in range(iterations):
+        N, gradient = self._reduced(normal, start)
+        basis, considered = self._parameters(N)
+        current = self._at_prior_outside(start, considered)
+        if not np.array_equal(current.x, start.x):
             N, gradient = self._reduced(normal, current)
-            factor, scale = _factor(basis.T @ N @ basis)
-            step = basis @ -_solve(factor, scale, basis.T @ gradient)
+        for _ in range(iterations):
+            covariance = basis @ _inverse(basis.T @ N @ basis) @ basis.T
+            step = covariance @ -gradient
             x = current.x + step
             x[KAPPA] = 0.0
-            current = replace(current, R=exp_rotation(step[KAPPA]) @ current.R, x=x)
-            covariance = basis @ _solve(factor, scale, basis.T)
+            current = Solution(exp_rotation(step[KAPPA]) @ current.R, x, covariance)
             sigma = np.sqrt(covariance.diagonal()[KAPPA])
-            if (np.abs(step[KAPPA]) < 1e-3 * sigma).all():
+            if (np.abs(step[KAPPA]) < np.minimum(SMALL_STEP, 0.1 * sigma)).all():
                 break
+            N, gradient = self._reduced(normal, current)
         # A considered error c moves the estimate by Sigma N c.
         error = considered - covariance @ (N @ considered)
-        return replace(current, covariance=covariance + error @ error.T)
+        return Solution(current.R, current.x, covariance + error @ error.T)
 
     def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
         """Information (m, m) and gradient (m,) of data and prior."""
-        J = at.jacobian()
+        J = at.jacobian
         A = normal[:-1, :-1]
         N = J.T @ A @ J
         gradient = J.T @ (A @ at.theta + normal[:-1, DATA])
@@ -201,35 +207,45 @@ class Solver:
         columns = [unit[:, :6]]
         if variance[X_R].any():
             columns.append(unit[:, X_R] @ self._lever_free)
-        others = np.r_[X_BG, X_G : N.shape[0]]
+        others = np.r_[9:12, X_G : N.shape[0]]
         columns.append(unit[:, others[variance[others] > 0.0]])
         basis = np.hstack(columns)
         sigma = np.sqrt(variance[X_BA])
         if not sigma.all():
-            return basis, np.zeros((N.shape[0], 0))
+            return basis, unit[:, :0]
         # Information of data and prior on the accelerometer bias, in units of the prior.
-        factor, scale = _factor(basis.T @ N @ basis)
         cross = basis.T @ N[:, X_BA] * sigma
-        own = N[X_BA, X_BA] * np.outer(sigma, sigma) - cross.T @ _solve(factor, scale, cross)
+        own = N[X_BA, X_BA] * np.outer(sigma, sigma)
+        own -= cross.T @ _inverse(basis.T @ N @ basis) @ cross
         ratio, vectors = np.linalg.eigh(own)
         directions = unit[:, X_BA] @ (sigma[:, None] * vectors)
         excited = ratio > 1.0 + ESTIMATE_RATIO
         return np.hstack((basis, directions[:, excited])), directions[:, ~excited]
 
-    def _at_prior_outside(self, start: Solution, basis: Array) -> Solution:
+    def _at_prior_outside(self, start: Solution, considered: Array) -> Solution:
         """`start` with what is not estimated put back to its prior."""
-        mean = self._prior.mean
-        x = mean + basis @ np.linalg.lstsq(basis, start.x - mean, rcond=None)[0]
-        return replace(start, x=x)
+        prior, x = self._prior, start.x.copy()
+        mean = prior.mean[X_R]
+        free = self._lever_free if prior.variance[X_R].any() else np.zeros((3, 0))
+        x[X_R] = mean + free @ (free.T @ (x[X_R] - mean))
+        if considered.shape[1]:
+            # The directions are orthonormal in units of the prior's sigma.
+            out = considered[X_BA]
+            x[X_BA] -= out @ ((out / prior.variance[X_BA, None]).T @ x[X_BA])
+        return Solution(start.R, x, start.covariance)
 
 
-def _factor(N: Array) -> tuple[tuple[Array, bool], Array]:
-    """Cholesky factor of N scaled to a unit diagonal, and the scale."""
-    scale = 1.0 / np.sqrt(np.diag(N))
-    return cho_factor(N * scale[:, None] * scale), scale
+def _inverse(N: Array) -> Array:
+    """Inverse of a positive definite matrix, by Cholesky after scaling to a unit diagonal.
 
-
-def _solve(factor: tuple[Array, bool], scale: Array, right: Array) -> Array:
-    if right.ndim == 1:
-        return scale * cho_solve(factor, scale * right)
-    return scale[:, None] * cho_solve(factor, scale[:, None] * right)
+    Raises
+    ------
+    numpy.linalg.LinAlgError : not positive definite
+    """
+    scale = 1.0 / np.sqrt(N.diagonal())
+    factor, info = dpotrf(N * scale[:, None] * scale, lower=1)
+    if info != 0:
+        raise np.linalg.LinAlgError("the data do not determine the parameters")
+    inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
+    lower = np.tril(inverse) + np.tril(inverse, -1).T
+    return lower * scale[:, None] * scale

@@ -36,7 +36,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.linalg.lapack import dposv
 
 from sins_align.rotation import skew, unskew
 from sins_align.swing.epochs import Epochs
@@ -107,13 +107,18 @@ class Linearisation(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Transition, its response to theta, process noise, observation: one epoch a row."""
+    """Epochs as the filter takes them, one a row; X and P stand side by side: [X, P].
 
-    F: Array  # (K, n, n)
-    G: Array  # (K, n, p + 1)
-    Q: Array  # (K, n, n)
-    H: Array  # (K, 3, n)
-    C: Array  # (K, 3, 3) at the end of the epoch
+    F : (K, n, n) transition
+    added : (K, n, p + 1 + n) what an epoch adds to [X, P]: response to theta, process noise
+    H : (K, 3, n) observation
+    observed : (K, 3, p + 1 + n) what is added to H [X, P]: -C r
+    """
+
+    F: Array
+    added: Array
+    H: Array
+    observed: Array
 
 
 def model_force(
@@ -160,7 +165,9 @@ def build_steps(
     UB = U @ B
     bias = np.concatenate((-B, 0.5 * UB, UB * (T / 6.0)[:, None, None]), axis=1)
 
-    G = np.zeros((K, n, noise.theta_size + 1))
+    width = noise.theta_size + 1
+    added = np.zeros((K, n, width + n))
+    G, Q = added[:, :, :width], added[:, :, width:]
     for j, columns in enumerate((R_EAST, R_NORTH, R_UP)):
         G[:, VEL, columns] = u_g[:, j, None, None] * eye
         G[:, POS, columns] = s_g[:, j, None, None] * eye
@@ -181,14 +188,15 @@ def build_steps(
     C = epochs.C[first + 1 :]
     H = np.zeros((K, 3, n))
     H[:, :, PHI], H[:, :, POS] = skew(C @ about.r_b), eye
-    Q = np.zeros((K, n, n))
+    observed = np.zeros((K, 3, width + n))
+    observed[:, :, LEVER] = -C
     Q[:, :9, :9] = _process_noise(T, U, noise)
     if noise.drift > 0.0:
         decay = np.exp(-T / noise.drift_time_s)
         F[:, :9, DRIFT] = bias
         F[:, DRIFT, DRIFT] = decay[:, None, None] * eye
         Q[:, DRIFT, DRIFT] = (noise.drift**2 * (1.0 - decay**2))[:, None, None] * eye
-    return Steps(F, G, Q, H, C)
+    return Steps(F, added, H, observed)
 
 
 def _process_noise(T: Array, U: Array, noise: NoiseModel) -> Array:
@@ -228,19 +236,28 @@ class PositionNoise:
     def __init__(self, floor: float) -> None:
         self.floor = floor
         self.variance = floor
+        self.has_grown = False
         self._seen = self._expected = self._consistency = 0.0
         self._weight = 0.0
 
-    def update(self, squared: float, expected: float, nis: float) -> None:
-        """Take in an innovation: its square, what the floor expects, its normalised square."""
-        self._weight += (1.0 - self._weight) / self.MEMORY
-        share = 1.0 / self.MEMORY
-        self._seen += share * (squared - self._seen)
-        self._expected += share * (expected - self._expected)
-        self._consistency += share * (nis / 3.0 - self._consistency)
-        excess = self._seen - self._expected
+    def update(self, seen: float, expected: float, normalised: float, count: int) -> None:
+        """Take in the innovations of `count` epochs.
+
+        Parameters
+        ----------
+        seen, expected : mean square of an innovation, and what it should be [m^2]
+        normalised : mean normalised square, per axis
+        """
+        keep = (1.0 - 1.0 / self.MEMORY) ** count
+        expected -= self.variance - self.floor
+        self._weight = 1.0 - keep * (1.0 - self._weight)
+        self._seen = keep * self._seen + (1.0 - keep) * seen
+        self._expected = keep * self._expected + (1.0 - keep) * expected
+        self._consistency = keep * self._consistency + (1.0 - keep) * normalised
         grown = self._seen > self.SIGNIFICANT * self._expected
-        self.variance = self.floor + (excess / (3.0 * self._weight) if grown else 0.0)
+        excess = (self._seen - self._expected) / self._weight
+        self.variance = self.floor + (excess if grown else 0.0)
+        self.has_grown |= grown
 
     @property
     def consistency(self) -> float:
@@ -251,55 +268,70 @@ class PositionNoise:
 class TwoStageFilter:
     """Filter of the random part, with the columns of its response to theta.
 
-    x : the random part's estimate is X[:, DATA] + X[:, :-1] theta
+    x : the random part's estimate is X[:, :-1] theta + X[:, DATA]
     P : (n, n) its covariance for given theta
     normal : (p+1, p+1) sum of E^T S^-1 E
     """
 
+    PORTION = 10  # epochs between two looks at the innovations
+
     def __init__(self, noise: NoiseModel) -> None:
         n = 12 if noise.drift > 0.0 else 9
         self.noise = PositionNoise(noise.position**2)
-        self.X = np.zeros((n, noise.theta_size + 1))
+        self.columns = noise.theta_size + 1
+        self._M = np.zeros((n, self.columns + n))
         self.X[VEL, V0] = self.X[POS, LEVER] = np.eye(3)
-        self.P = np.zeros((n, n))
         self.P[POS, POS] = noise.position**2 * np.eye(3)
         if noise.drift > 0.0:
             self.P[DRIFT, DRIFT] = noise.drift**2 * np.eye(3)
-        self.normal = np.zeros((noise.theta_size + 1, noise.theta_size + 1))
+        self.normal = np.zeros((self.columns, self.columns))
+
+    @property
+    def X(self) -> Array:
+        """(n, p + 1) response of the estimate to theta, and the data's part."""
+        return self._M[:, : self.columns]
+
+    @property
+    def P(self) -> Array:
+        """(n, n) covariance of the random part."""
+        return self._M[:, self.columns :]
 
     def run(self, steps: Steps, theta: Array | None) -> None:
         """Take in epochs. With theta (p,) the innovations are judged and may grow R."""
-        whole = None if theta is None else np.append(theta, 1.0)
-        X, P = self.X, self.P
-        n, columns = X.shape
-        whitened = np.empty((steps.F.shape[0], 3, columns))
-        right = np.empty((3, columns + n), order="F")
-        eye = np.eye(3)
-        for k, (F, G, Q, H, C) in enumerate(zip(*steps, strict=True)):
-            X = F @ X
-            X += G
-            P = F @ P @ F.T
-            P += Q
-            HP = H @ P
-            S = HP @ H.T
-            at_floor = S[0, 0] + S[1, 1] + S[2, 2] + 3.0 * self.noise.floor
-            S += self.noise.variance * eye
-            right[:, :columns] = H @ X
-            right[:, LEVER] -= C
-            right[:, columns:] = HP
-            # With S = L L^T: L^-1 [E, H P], then X - P H^T S^-1 E and P - P H^T S^-1 H P.
-            L, _ = dpotrf(S, lower=1)
-            white, _ = dtrtrs(L, right, lower=1)
-            E, W = white[:, :columns], white[:, columns:]
-            X -= W.T @ E
-            P -= W.T @ W
-            whitened[k] = E
-            if whole is not None:
-                squared = right[:, :columns] @ whole
-                normalised = E @ whole
+        for first in range(0, steps.F.shape[0], self.PORTION):
+            part = Steps(*(a[first : first + self.PORTION] for a in steps))
+            E, SiE, S = self._run_portion(part)
+            self.normal += E.reshape(-1, self.columns).T @ SiE.reshape(-1, self.columns)
+            if theta is not None:
+                whole = np.append(theta, 1.0)
+                innovations, solved = E @ whole, SiE @ whole
                 self.noise.update(
-                    float(squared @ squared), at_floor, float(normalised @ normalised)
+                    float((innovations * innovations).mean()),
+                    float(np.trace(S, axis1=1, axis2=2).mean()) / 3.0,
+                    float((innovations * solved).mean()),
+                    S.shape[0],
                 )
-        flat = whitened.reshape(-1, columns)
-        self.normal += flat.T @ flat
-        self.X, self.P = X, P
+        self._M[:, self.columns :] = 0.5 * (self.P + self.P.T)
+
+    def _run_portion(self, steps: Steps) -> tuple[Array, Array, Array]:
+        """Innovations E (K, 3, p+1), S^-1 E, and S (K, 3, 3), with R as it is."""
+        c = self.columns
+        K = steps.F.shape[0]
+        E, SiE = np.empty((K, 3, c)), np.empty((K, 3, c))
+        S = np.empty((K, 3, 3))
+        R = self.noise.variance * np.eye(3)
+        M = self._M
+        for k, (F, added, H, observed) in enumerate(zip(*steps, strict=True)):
+            M = F @ M
+            M[:, c:] = M[:, c:] @ F.T
+            M += added
+            # H [X, P] in one product: innovations and the numerator of the gain.
+            HM = H @ M
+            HM += observed
+            HP = HM[:, c:]
+            S[k] = HP @ H.T + R
+            _, solved, _ = dposv(S[k], HM, lower=1)
+            M -= HP.T @ solved
+            E[k], SiE[k] = HM[:, :c], solved[:, :c]
+        self._M = M
+        return E, SiE, S
