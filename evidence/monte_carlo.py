@@ -64,7 +64,7 @@ def run(options: SwingOptions, parameters: Mapping[str, Any]) -> Outcome:
     )
     session = Session(config)
     session.add_imu(simulated.imu)
-    estimate = session.estimate
+    estimate = session.conclusion
     if estimate is None or estimate.lever_arm is None:
         raise RuntimeError(f"no estimate: {session.status}")
     C_true = simulated.truth.C_nb_at(estimate.stamp_ns)

@@ -191,3 +191,9 @@ class Aligner(Protocol):
         `block` begins at the last stamp of the last update and may be shorter than a
         whole one.
         """
+
+    def conclude(self, block: ImuBlock) -> Estimate | None:
+        """The best estimate from all samples to the end of `block`; changes nothing.
+
+        Where `update` leaves something for later, this does not: for the end of a run.
+        """

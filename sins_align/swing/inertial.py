@@ -15,6 +15,7 @@ Between two ends of cycles the attitude is carried by the gyros.
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 
 import numpy as np
 
@@ -125,14 +126,29 @@ class InertialAligner:
             self._first_ns = int(block.stamp_ns[0])
         now = int(block.stamp_ns[-1] - self._first_ns) * 1e-9
         # Half a block of grace: the ends of blocks fall on stamps, not on the grid itself.
-        if now < self._next_cycle_s - 0.5:
-            return
-        self._next_cycle_s = now + min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
+        if now > self._next_cycle_s - 0.5:
+            self._next_cycle_s = now + min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
+            self._end_cycle(now)
+
+    def conclude(self, block: ImuBlock) -> Estimate | None:
+        """The estimate from all samples to the end of `block`; changes nothing.
+
+        What `estimate` will be at the end of a cycle, had it ended there.
+        """
+        other = deepcopy(self)
+        if block.stamp_ns.shape[0] > 1:
+            other._blocks.append(block)
+        if not other._blocks or len(other._epochs) == 0:
+            return self._estimate
+        other._end_cycle(int(block.stamp_ns[-1] - (self._first_ns or 0)) * 1e-9)
+        return other._estimate
+
+    def _end_cycle(self, now: float) -> None:
         whole = join_blocks(self._blocks)
         self._blocks, self._turned = [], []
         self._stamp_ns = int(whole.stamp_ns[-1])
         duration = int(whole.stamp_ns[-1] - whole.stamp_ns[0]) * 1e-9
-        count = round(duration / EPOCH_S)
+        count = max(1, round(duration / EPOCH_S))
         self._epochs.append(integrate_windows(whole, self._config.sampling, count))
         self._excitation.update(self._epochs)
         if now > self._next_refresh_s - 0.5:
@@ -142,7 +158,7 @@ class InertialAligner:
         elif self._solution is not None:
             self._advance()
             self._solution = self._solver().solve(self._filter.normal, self._solution)
-        self._estimate = self._conclude()
+        self._estimate = self._estimate_now()
 
     @property
     def estimate(self) -> Estimate | None:
@@ -179,7 +195,8 @@ class InertialAligner:
             if before is None:
                 return
             self._about = Linearisation(before.R, before.x[X_R], before.theta)
-            self._filter, self._filtered = TwoStageFilter(self._noise), 0
+            self._filter = TwoStageFilter(self._noise, self._filter.noise.again())
+            self._filtered = 0
             self._advance()
             self._solution = self._solver().solve(self._filter.normal, before)
             moved = log_rotation(self._solution.R @ before.R.T)
@@ -231,7 +248,7 @@ class InertialAligner:
         variance = up @ solution.covariance[KAPPA, KAPPA] @ up
         return bool(variance < COARSE_SIGMA**2)
 
-    def _conclude(self) -> Estimate | None:
+    def _estimate_now(self) -> Estimate | None:
         if self._solution is None or not self._is_coarse(self._solution):
             return None
         return self._estimate_at(self._stamp_ns, self._epochs.C[-1], 0.0)

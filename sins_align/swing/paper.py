@@ -172,6 +172,10 @@ class PaperAligner:
             return None
         return self._carried(int(block.stamp_ns[-1]), *self._stream.ahead(block))
 
+    def conclude(self, block: ImuBlock) -> Estimate | None:
+        """As `propagate`: this method leaves nothing for later."""
+        return self.propagate(block)
+
     def _carried(self, stamp_ns: int, elapsed: float, theta: Array) -> Estimate:
         assert self._fine is not None
         Q = self._fine.corrected(self._Q)

@@ -32,6 +32,7 @@ heading error that multiplies measured noise would come back as information abou
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -259,6 +260,12 @@ class PositionNoise:
         self.variance = self.floor + (excess if grown else 0.0)
         self.has_grown |= grown
 
+    def again(self) -> PositionNoise:
+        """For another run over the same epochs: begins with what this one found."""
+        other = copy(self)
+        other.has_grown = other.variance > other.floor
+        return other
+
     @property
     def consistency(self) -> float:
         """Mean normalised innovation squared over its expectation, of the last epochs."""
@@ -271,17 +278,22 @@ class TwoStageFilter:
     x : the random part's estimate is X[:, :-1] theta + X[:, DATA]
     P : (n, n) its covariance for given theta
     normal : (p+1, p+1) sum of E^T S^-1 E
+
+    Parameters
+    ----------
+    noise : the densities
+    position : the swing centre's noise as an earlier run found it, to begin with
     """
 
     PORTION = 10  # epochs between two looks at the innovations
 
-    def __init__(self, noise: NoiseModel) -> None:
+    def __init__(self, noise: NoiseModel, position: PositionNoise | None = None) -> None:
         n = 12 if noise.drift > 0.0 else 9
-        self.noise = PositionNoise(noise.position**2)
+        self.noise = position or PositionNoise(noise.position**2)
         self.columns = noise.theta_size + 1
         self._M = np.zeros((n, self.columns + n))
         self.X[VEL, V0] = self.X[POS, LEVER] = np.eye(3)
-        self.P[POS, POS] = noise.position**2 * np.eye(3)
+        self.P[POS, POS] = self.noise.variance * np.eye(3)
         if noise.drift > 0.0:
             self.P[DRIFT, DRIFT] = noise.drift**2 * np.eye(3)
         self.normal = np.zeros((self.columns, self.columns))
