@@ -15,7 +15,7 @@ from sins_align.config import swing_config
 from sins_align.ros.diagnostics import lever_arm_texts
 from sins_align.ros.messages import lever_arm_message
 from sins_align.ros.node_base import LATCHED_QOS, AlignNode
-from sins_align.ros.run_node import run_node
+from sins_align.ros.run_node import run_node, spin_aligner
 from sins_align.session import Session
 from sins_align.types import Estimate
 
@@ -27,16 +27,13 @@ class SwingAlignNode(AlignNode):
 
     def __init__(self) -> None:
         super().__init__(NAME, lambda values: Session(swing_config(values)))
-        self._lever_arm = self.create_publisher(
-            PoseWithCovarianceStamped, "~/lever_arm", LATCHED_QOS
-        )
+        self._lever_arm = self.create_output(PoseWithCovarianceStamped, "~/lever_arm", LATCHED_QOS)
 
     def publish_update(self, estimate: Estimate, frame_id: str) -> None:
         """Publish the lever arm."""
         if estimate.lever_arm is not None:
-            self._lever_arm.publish(
-                lever_arm_message(estimate.stamp_ns, estimate.lever_arm, frame_id)
-            )
+            message = lever_arm_message(estimate.stamp_ns, estimate.lever_arm, frame_id)
+            self.send(self._lever_arm, message)
 
     def diagnostic_texts(self, estimate: Estimate | None) -> dict[str, str]:
         """The keys of the lever arm."""
@@ -45,7 +42,7 @@ class SwingAlignNode(AlignNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; returns its exit status."""
-    return run_node(NAME, SwingAlignNode, args)
+    return run_node(NAME, SwingAlignNode, spin_aligner, args)
 
 
 if __name__ == "__main__":

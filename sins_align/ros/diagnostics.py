@@ -11,6 +11,7 @@ from sins_align.types import Estimate, State, Status
 from sins_align.units import ARCMIN
 
 UNKNOWN = "unknown"
+SILENT_REMEDY = "check that the IMU publishes on topic imu, and its QoS"
 _AXES = ("x", "y", "z")
 
 
@@ -41,7 +42,7 @@ def diagnostic_status(
     texts = {
         "state": status.state.value,
         "reason": message if level != DiagnosticStatus.OK else "",
-        "remedy": status.remedy,
+        "remedy": status.remedy or (SILENT_REMEDY if silent_s is not None else ""),
         "elapsed_s": number_text(status.elapsed_s),
         "sigma_east_arcmin": number_text(sigma[0], 4),
         "sigma_north_arcmin": number_text(sigma[1], 4),
@@ -84,7 +85,10 @@ def lever_arm_texts(estimate: Estimate | None) -> dict[str, str]:
 
 def _level(status: Status, silent_s: float | None) -> tuple[bytes, str]:
     if silent_s is not None:
-        return DiagnosticStatus.ERROR, f"no usable IMU data for {silent_s:.0f} s"
+        missing = [f"no usable IMU data for {silent_s:.0f} s"]
+        if status.remedy and status.state is State.WAITING:
+            missing.append(status.reason)  # something else is missing as well
+        return DiagnosticStatus.ERROR, "; ".join(missing)
     if status.state in (State.WAITING, State.FAILED):
         return DiagnosticStatus.ERROR, status.reason
     if status.state is State.ALIGNED:

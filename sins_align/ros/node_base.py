@@ -13,7 +13,10 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import Imu, NavSatFix
@@ -29,6 +32,8 @@ from sins_align.ros.publish_grid import PublishGrid, find_sample
 from sins_align.ros.result import Timing, result_document, write_result
 from sins_align.session import Session
 from sins_align.types import Estimate, ImuSamples, State, Status
+
+RCLError = rclpy_implementation.RCLError
 
 IMU_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 FIX_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -82,14 +87,26 @@ class AlignNode(Node):
         self._create_outputs()
         self._create_inputs()
 
+    def create_output(self, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
+        """A publisher without rclpy's own event handlers.
+
+        Each of them would be looked at for every sample that comes in.
+        """
+        return self.create_publisher(
+            message_type,
+            topic,
+            qos,
+            event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+        )
+
     def _create_outputs(self) -> None:
-        self._attitude = self.create_publisher(Imu, "~/attitude", OUTPUT_QOS)
-        self._misalignment = self.create_publisher(
+        self._attitude = self.create_output(Imu, "~/attitude", OUTPUT_QOS)
+        self._misalignment = self.create_output(
             PoseWithCovarianceStamped, "~/misalignment", OUTPUT_QOS
         )
-        self._aligned_publisher = self.create_publisher(Bool, "~/aligned", LATCHED_QOS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._processed = self.create_publisher(Time, "~/processed", 10)
+        self._aligned_publisher = self.create_output(Bool, "~/aligned", LATCHED_QOS)
+        self._diagnostics = self.create_output(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
+        self._processed = self.create_output(Time, "~/processed", LATCHED_QOS)
         self._aligned_publisher.publish(Bool(data=False))
 
     def _create_inputs(self) -> None:
@@ -106,6 +123,14 @@ class AlignNode(Node):
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # also when the time of the data stands
         self.create_timer(FLUSH_S, self._flush, clock=wall)
         self.create_timer(1.0, self._publish_diagnostics, clock=wall)
+
+    def send(self, publisher: Publisher, message: Any) -> None:
+        """Publish, unless ROS has gone down meanwhile: data still here must be taken in."""
+        try:
+            publisher.publish(message)
+        except RCLError:
+            if self.context.ok():
+                raise
 
     def publish_update(self, estimate: Estimate, frame_id: str) -> None:
         """Publish what changes from block to block. Nothing here; for a node's own topics."""
@@ -147,8 +172,7 @@ class AlignNode(Node):
                 self.publish_update(update.estimate, self._frame_id)
             self._announce(update.status)
         self._announce(self.session.status)  # a restart is no update
-        if self._processed.get_subscription_count():
-            self._processed.publish(messages.time_message(int(samples.stamp_ns[-1])))
+        self.send(self._processed, messages.time_message(int(samples.stamp_ns[-1])))
         return samples
 
     def _announce(self, status: Status) -> None:
@@ -163,7 +187,7 @@ class AlignNode(Node):
         aligned = status.state is State.ALIGNED
         if aligned != self._aligned:
             self._aligned = aligned
-            self._aligned_publisher.publish(Bool(data=aligned))
+            self.send(self._aligned_publisher, Bool(data=aligned))
             if aligned:
                 self._save()
 
@@ -175,8 +199,10 @@ class AlignNode(Node):
         if sample is None:
             return
         self._published_ns = estimate.stamp_ns
-        self._attitude.publish(messages.attitude_message(estimate, *sample, self._frame_id))
-        self._misalignment.publish(messages.misalignment_message(estimate, self._nav_frame))
+        attitude = messages.attitude_message(estimate, *sample, self._frame_id)
+        self.send(self._attitude, attitude)
+        misalignment = messages.misalignment_message(estimate, self._nav_frame)
+        self.send(self._misalignment, misalignment)
 
     def _on_fix(self, fix: NavSatFix) -> None:
         position = messages.position_from_fix(fix)
@@ -239,4 +265,4 @@ class AlignNode(Node):
         status.values += key_values(self.diagnostic_texts(estimate))
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        self.send(self._diagnostics, message)

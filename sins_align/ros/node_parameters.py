@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
 from sins_align.grades import ConfigError
-from sins_align.parameters import Parameter, Value
+from sins_align.parameters import Parameter
 from sins_align.ros.parameter_values import is_ros_parameter
 
 _INTEGER_LIMIT = 2**63 - 1
 
 
-def declare_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Value]:
+def declare_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Any]:
     """Declare the parameters of `table`, all of them read-only, and return their values.
 
     The node must have been made with automatically_declare_parameters_from_overrides. Its
@@ -27,7 +28,7 @@ def declare_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, 
     ------
     ConfigError : unknown name, wrong type, out of range; names the key
     """
-    values: dict[str, Value] = {name: entry.default for name, entry in table.items()}
+    values: dict[str, Any] = {name: entry.default for name, entry in table.items()}
     for name, override in node.get_parameters_by_prefix("").items():
         if is_ros_parameter(name):
             continue

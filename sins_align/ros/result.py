@@ -172,7 +172,10 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     ------
     OSError : the folder is missing or not writable, or the disk is full
     """
-    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
     try:
         with os.fdopen(descriptor, "wb") as file:
             write(file)

@@ -5,71 +5,78 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 
 from sins_align.grades import ConfigError
-from sins_align.ros.node_base import AlignNode
+from sins_align.ros.node_base import AlignNode, RCLError
 
-try:  # where rclpy keeps it differs between releases
-    from rclpy.impl.implementation_singleton import rclpy_implementation
-
-    RCLError = rclpy_implementation.RCLError
-except ImportError:
-    RCLError = RuntimeError
-
-
-def one_line(error: object) -> str:
-    """The text of an error in one line."""
-    return " ".join(str(error).split())
+N = TypeVar("N", bound=Node)
 
 
 def run_node(
-    name: str, make_node: Callable[[], AlignNode], args: Sequence[str] | None = None
+    name: str,
+    make_node: Callable[[], N],
+    work: Callable[[N], None],
+    args: Sequence[str] | None = None,
 ) -> int:
-    """Run a node until SIGINT, SIGTERM or a shutdown of ROS.
+    """Make a node and let it work until it is done, or until SIGINT, SIGTERM or a shutdown.
 
     Returns
     -------
-    0 after a shutdown, 2 for arguments or parameters that cannot be used, with one line on
-    standard error
+    0 after work or shutdown; 2 for arguments or parameters that cannot be used and 1 for
+    work that ended with a TimeoutError, each with one line on standard error
     """
     # rclpy shuts ROS down at the signal and then calls the handler it found. Python's own
     # would raise in the middle of whatever is going on, a half-taken sample included.
     signal.signal(signal.SIGINT, lambda *_: None)
     try:
-        rclpy.init(args=list(args) if args is not None else None)
+        rclpy.init(args=None if args is None else list(args))
         node = make_node()
     except (ConfigError, ParameterException, RCLError, RuntimeError, ValueError) as error:
-        print(f"{name}: {one_line(error)}", file=sys.stderr)
         rclpy.try_shutdown()
-        return 2
+        return _fail(name, error, 2)
     try:
-        spin(node, node.executor_kind)
+        work(node)
     except ExternalShutdownException:
         pass
+    except TimeoutError as error:
+        return _fail(name, error, 1)
     except RCLError:
         if rclpy.ok():  # else something was published while ROS went down
             raise
     finally:
-        node.finish()
         node.destroy_node()
         rclpy.try_shutdown()
     return 0
 
 
-def spin(node: rclpy.node.Node, kind: str) -> None:
-    """Spin until ROS is shut down; `kind` is the parameter `executor`."""
-    if kind == "events":
-        from rclpy.experimental import EventsExecutor
+def spin_aligner(node: AlignNode) -> None:
+    """Spin until ROS is shut down, then let the node finish."""
+    try:
+        _spin(node, node.executor_kind)
+    finally:
+        node.finish()
 
-        executor = EventsExecutor()
-    else:
-        executor = SingleThreadedExecutor()
-    executor.add_node(node)
+
+def _fail(name: str, error: Exception, status: int) -> int:
+    print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    return status
+
+
+def _spin(node: Node, kind: str) -> None:
     if kind == "single":
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
         executor.spin()
-    while rclpy.ok():  # the spin() of the events executor does not return at a signal
-        executor.spin_once(timeout_sec=0.2)
+        return
+    from rclpy.experimental import EventsExecutor
+
+    events = EventsExecutor()
+    events.add_node(node)
+    while rclpy.ok():  # its spin() does not return at a signal
+        events.spin_once(timeout_sec=0.2)

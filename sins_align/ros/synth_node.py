@@ -1,0 +1,172 @@
+"""The node `align_synth`: publishes a simulated IMU live.
+
+With `speed` above 0 the samples go out when they are due. With `speed` 0 they go out as
+fast as the aligner takes them: its topic `~/processed` tells how far it has come, and no
+more than WINDOW samples are ever under way. So a best-effort subscription loses nothing,
+though nothing in DDS would hold a publisher back.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+# Small matrices: threads cost more than they bring. It counts before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Imu, NavSatFix
+
+from sins_align.parameters import Parameter
+from sins_align.ros.cdr import encode_imu
+from sins_align.ros.messages import fix_message
+from sins_align.ros.node_parameters import declare_parameters
+from sins_align.ros.result import write_text_whole
+from sins_align.ros.run_node import run_node
+from sins_align.ros.simulation_options import SIMULATION_PARAMETERS, swing_options
+from sins_align.simulate import simulate_swing
+from sins_align.types import Position
+from sins_align.units import DEG
+
+NAME = "align_synth"
+WINDOW = 200  # samples under way at speed 0; the shared memory of Fast DDS holds 512
+BURST = 100  # samples at a time when the timetable is behind
+STALLED_S = 20.0
+END_S = 2.0  # how long the end waits for the last samples to be taken
+_NS = 1_000_000_000
+
+PLAY_PARAMETERS = {
+    parameter.name: parameter
+    for parameter in (
+        Parameter(
+            "speed", 1.0, "1: real time; 0: as fast as the aligner takes the samples",
+            low=0.0, high=1e6,
+        ),
+        Parameter("wait_for_subscribers", 1, "of imu, before it starts", low=0, high=1000),
+        Parameter("wait_timeout_s", 30.0, "for as long [s]", low=0.0, high=1e6),
+        Parameter("aligner", "swing_align", "the node whose progress counts at speed 0"),
+        Parameter("frame_id", "imu", "of the IMU"),
+        Parameter("truth_file", "", "truth.json is written here; empty: nowhere"),
+    )
+}  # fmt: skip
+
+
+class SynthNode(Node):
+    """The simulation, ready to be played.
+
+    Raises
+    ------
+    ConfigError : a parameter that cannot be used; names the key
+    """
+
+    def __init__(self) -> None:
+        super().__init__(NAME, automatically_declare_parameters_from_overrides=True)
+        table = {**SIMULATION_PARAMETERS, **PLAY_PARAMETERS}
+        self._values: dict[str, Any] = declare_parameters(self, table)
+        options = swing_options(self._values)
+        run = simulate_swing(options)
+        if self._values["truth_file"]:
+            text = json.dumps(run.truth.truth_dict(), indent=1) + "\n"
+            write_text_whole(Path(self._values["truth_file"]), text)
+        self._stamp_ns = run.imu.stamp_ns
+        self._payloads = [bytes(p) for p in encode_imu(run.imu, self._values["frame_id"])]
+        self._position = Position(
+            options.latitude_deg * DEG, options.longitude_deg * DEG, options.altitude_m
+        )
+        self._sent = 0
+        self._next_fix_ns = 0
+        self._processed_ns = -1
+        # Offered as reliable, so that a subscription of either kind gets it.
+        self._imu = self.create_publisher(Imu, "imu", 2000)
+        self._fix = self.create_publisher(NavSatFix, "fix", 10)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._progress = f"{self._values['aligner']}/processed"
+        self.create_subscription(Time, self._progress, self._on_processed, latched)
+
+    def _on_processed(self, stamp: Time) -> None:
+        self._processed_ns = stamp.sec * _NS + stamp.nanosec
+
+    def play(self) -> None:
+        """Publish everything.
+
+        Raises
+        ------
+        TimeoutError : nobody subscribes, or the aligner stopped taking samples
+        """
+        speed = self._values["speed"]
+        self._wait_for_subscribers()
+        if speed > 0.0:
+            self._play_timed(speed)
+        else:
+            self._play_throttled()
+        # The last samples are still under way: this publisher has to outlive them.
+        end = time.monotonic() + END_S
+        while self._processed_ns < self._stamp_ns[-1] and time.monotonic() < end:
+            rclpy.spin_once(self, timeout_sec=0.1)
+        self.get_logger().info(f"{self._sent} samples published")
+
+    def _wait_for_subscribers(self) -> None:
+        needed = self._values["wait_for_subscribers"]
+        end = time.monotonic() + self._values["wait_timeout_s"]
+        throttled = self._values["speed"] == 0.0
+        while True:
+            found = self._imu.get_subscription_count()
+            lone = throttled and not (
+                self._fix.get_subscription_count() and self.count_publishers(self._progress)
+            )
+            if found >= needed and not lone:
+                return
+            if time.monotonic() > end:
+                name = self._progress if found >= needed else self._imu.topic_name
+                raise TimeoutError(f"{found} of {needed} subscribers; nobody on {name}")
+            rclpy.spin_once(self, timeout_sec=0.05)
+
+    def _play_timed(self, speed: float) -> None:
+        begin = time.monotonic()
+        first = int(self._stamp_ns[0])
+        while self._sent < len(self._payloads):
+            elapsed_ns = (time.monotonic() - begin) * speed * 1e9
+            due = int(np.searchsorted(self._stamp_ns, first + elapsed_ns, side="right"))
+            self._publish(min(due, self._sent + BURST))
+            time.sleep(0.001)
+            if not rclpy.ok():
+                return
+
+    def _play_throttled(self) -> None:
+        last_progress = time.monotonic()
+        while self._sent < len(self._payloads):
+            taken = int(np.searchsorted(self._stamp_ns, self._processed_ns, side="right"))
+            if taken + WINDOW > self._sent:
+                self._publish(min(taken + WINDOW, len(self._payloads)))
+                last_progress = time.monotonic()
+            rclpy.spin_once(self, timeout_sec=0.5)
+            if time.monotonic() - last_progress > STALLED_S:
+                raise TimeoutError(f"{self._values['aligner']} stopped taking samples")
+
+    def _publish(self, end: int) -> None:
+        """Publish the samples up to `end`, and a fix at the first one of every second."""
+        for k in range(self._sent, end):
+            stamp = int(self._stamp_ns[k])
+            if stamp >= self._next_fix_ns:
+                self._next_fix_ns = stamp + _NS
+                self._fix.publish(fix_message(stamp, self._position, "gnss"))
+            self._imu.publish(self._payloads[k])
+        self._sent = end
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; returns its exit status."""
+    return run_node(NAME, SynthNode, SynthNode.play, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
