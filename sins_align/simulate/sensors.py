@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from sins_align.grades import ImuGrade
 from sins_align.types import Array, IntArray
@@ -79,6 +78,8 @@ def gauss_markov(step: float, size: int, stream: Generator) -> Array:
 
     x_k = exp(-step) x_{k-1} + sqrt(1 - exp(-2 step)) n_k; step is in correlation times.
     """
+    from scipy.signal import lfilter  # slow to import, and most grades do without
+
     drive = stream.standard_normal((3, size))
     drive[:, 1:] *= math.sqrt(-math.expm1(-2.0 * step))
     states: Array = lfilter([1.0], [1.0, -math.exp(-step)], drive, axis=1)

@@ -2,12 +2,13 @@
 
 from sins_align.config import SwingConfig
 from sins_align.swing.inertial import InertialAligner
-from sins_align.swing.paper import PaperAligner
 from sins_align.types import Aligner, Position
 
 
 def make_aligner(config: SwingConfig, position: Position) -> Aligner:
     """The estimator that `config.method` names."""
     if config.method == "paper":
+        from sins_align.swing.paper import PaperAligner  # what it imports is slow to import
+
         return PaperAligner(config, position)
     return InertialAligner(config, position)
