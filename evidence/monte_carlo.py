@@ -10,9 +10,14 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from sins_align.config import swing_config
-from sins_align.rotation import dcm_from_quaternion, log_rotation
+from sins_align.rotation import (
+    dcm_from_quaternion,
+    exp_rotation,
+    log_rotation,
+    rpy_from_dcm,
+)
 from sins_align.session import Session
-from sins_align.simulate import SwingOptions, simulate_swing
+from sins_align.simulate import SwingOptions, SwingRun, simulate_swing
 from sins_align.types import Array, Estimate
 
 
@@ -20,18 +25,29 @@ from sins_align.types import Array, Estimate
 class Outcome:
     """One run: errors, estimate minus truth, with what the filter claimed.
 
-    misalignment : (3,) phi east, north, up [rad]; sigma, covariance of it
-    lever_error : (3,) in b [m]; lever_sigma, observable
+    misalignment : (3,) phi east, north, up [rad]; covariance of it
+    lever_error : (3,) in b [m], with its covariance; C_paper_b maps b to the paper's axes
     """
 
     seed: int
     misalignment: Array
     covariance: Array
     lever_error: Array
-    lever_sigma: Array
+    lever_covariance: Array
     lever_observable: tuple[bool, bool, bool]
+    C_paper_b: Array
     consistency: float
     aligned_at_s: float | None
+
+    @property
+    def lever_error_paper(self) -> Array:
+        """(3,) in the axes of the paper's tables [m]."""
+        return self.C_paper_b @ self.lever_error
+
+    @property
+    def lever_sigma_paper(self) -> Array:
+        """(3,) claimed 1 sigma in the axes of the paper's tables [m]."""
+        return np.sqrt((self.C_paper_b @ self.lever_covariance @ self.C_paper_b.T).diagonal())
 
     @property
     def sigma(self) -> Array:
@@ -49,33 +65,41 @@ def misalignment_of(estimate: Estimate, C_nb_true: Array) -> Array:
     return -log_rotation(dcm_from_quaternion(estimate.q_nb) @ C_nb_true.T)
 
 
-def run(options: SwingOptions, parameters: Mapping[str, Any]) -> Outcome:
-    """One simulated alignment."""
+def _start_attitude(simulated: SwingRun, error_deg: float) -> list[float]:
+    """roll, pitch, yaw [deg] of the true start, turned by a rotation vector of equal parts."""
+    C_true = simulated.truth.C_nb_at(int(simulated.imu.stamp_ns[0]))
+    C_wrong = exp_rotation(np.full(3, np.radians(error_deg))) @ C_true
+    return list(np.degrees(rpy_from_dcm(C_wrong)))
+
+
+def run(
+    options: SwingOptions, parameters: Mapping[str, Any], start_error_deg: float | None = None
+) -> Outcome:
+    """One simulated alignment; the paper's method starts wrong by `start_error_deg`."""
     simulated = simulate_swing(options)
-    grade = {} if not isinstance(options.grade, str) else {"imu_grade": options.grade}
-    config = swing_config(
-        {
-            "latitude_deg": options.latitude_deg,
-            "altitude_m": options.altitude_m,
-            "imu_sampling": options.imu_sampling.value,
-            **grade,
-            **parameters,
-        }
-    )
-    session = Session(config)
+    values = {
+        "latitude_deg": options.latitude_deg,
+        "altitude_m": options.altitude_m,
+        "imu_sampling": options.imu_sampling.value,
+        "imu_grade": options.grade,
+        **parameters,
+    }
+    if start_error_deg is not None:
+        values["initial_rpy_deg"] = _start_attitude(simulated, start_error_deg)
+    session = Session(swing_config(values))
     session.add_imu(simulated.imu)
     estimate = session.conclusion
     if estimate is None or estimate.lever_arm is None:
         raise RuntimeError(f"no estimate: {session.status}")
-    C_true = simulated.truth.C_nb_at(estimate.stamp_ns)
     lever = estimate.lever_arm
     return Outcome(
         seed=options.seed,
-        misalignment=misalignment_of(estimate, C_true),
+        misalignment=misalignment_of(estimate, simulated.truth.C_nb_at(estimate.stamp_ns)),
         covariance=estimate.misalignment_covariance,
         lever_error=lever.r_b - np.asarray(simulated.truth.lever_arm_m),
-        lever_sigma=np.sqrt(lever.covariance.diagonal()),
+        lever_covariance=lever.covariance,
         lever_observable=lever.observable,
+        C_paper_b=simulated.truth.C_paper_b,
         consistency=estimate.consistency,
         aligned_at_s=session.status.aligned_at_s,
     )
@@ -85,33 +109,17 @@ def monte_carlo(
     options: SwingOptions,
     parameters: Mapping[str, Any],
     seeds: Iterable[int],
+    *,
+    start_error_deg: float | None = None,
     jobs: int = 2,
 ) -> list[Outcome]:
     """The same scenario with every seed, on `jobs` cores."""
-    tasks = (delayed(run)(replace(options, seed=seed), parameters) for seed in seeds)
+    tasks = (
+        delayed(run)(replace(options, seed=seed), parameters, start_error_deg) for seed in seeds
+    )
     return list(Parallel(n_jobs=jobs)(tasks))
 
 
 def heading_nees(outcomes: list[Outcome]) -> float:
     """Mean of (heading error / sigma)^2, 1 when sigma is honest."""
     return float(np.mean([(o.misalignment[2] / o.sigma[2]) ** 2 for o in outcomes]))
-
-
-def row(name: str, outcomes: list[Outcome]) -> str:
-    """One line of figures: attitude in 1e-3 deg, lever arm in mm."""
-    phi = np.degrees(np.array([o.misalignment for o in outcomes])) * 1e3
-    sigma = np.degrees(np.array([o.sigma for o in outcomes])).mean(axis=0) * 1e3
-    lever = np.array([o.lever_error for o in outcomes]) * 1e3
-    lever_sigma = np.array([o.lever_sigma for o in outcomes]).mean(axis=0) * 1e3
-
-    def text(values: Array) -> str:
-        return " ".join(f"{v:9.4g}" for v in values)
-
-    rms = np.sqrt((phi**2).mean(axis=0))
-    nees = np.mean([o.nees for o in outcomes]) / 3.0
-    return (
-        f"{name:26s} phi rms {text(rms)} sigma {text(sigma)} max {np.abs(phi[:, 2]).max():8.4g}"
-        f" NEES/3 {nees:.2f} head {heading_nees(outcomes):.2f} | lever mean"
-        f" {text(lever.mean(axis=0))} sd {text(lever.std(axis=0))} sigma {text(lever_sigma)}"
-        f" | {np.mean([o.consistency for o in outcomes]):.2f}"
-    )
