@@ -16,7 +16,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from evidence.swing import SECTIONS, lines  # noqa: E402
+from evidence.swing import SECTIONS, lines
 
 
 def main() -> int:

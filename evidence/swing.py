@@ -194,11 +194,8 @@ def inertial_cases(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
             upper("largest heading error / sigma", _covered(outcomes), 4.0),
         ]
         if name == "single axis":
-            lost = [o.lever_observable for o in outcomes]
-            checks.append(
-                Check("runs that flag the lost direction", sum(f == (False, True, True) for f in lost),
-                      len(lost), len(lost))
-            )  # fmt: skip
+            flagged = sum(o.lever_observable == (False, True, True) for o in outcomes)
+            checks.append(Check("runs that flag the lost direction", flagged, seeds, seeds))
         yield f"inertial, {name}", outcomes, checks
 
 
