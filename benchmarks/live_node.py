@@ -59,7 +59,7 @@ def measure_live(duration_s: float = 60.0, executor: str = "single") -> dict[str
     environment = dict(
         os.environ,
         PYTHONPATH=str(ROOT),
-        ROS_DOMAIN_ID=str(100 + os.getpid() % 100),
+        ROS_DOMAIN_ID=str(1 + os.getpid() % 100),
         ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST",
         OPENBLAS_NUM_THREADS="1",
     )

@@ -236,8 +236,9 @@ class AlignNode(Node):
         if not self._result_file:
             return ""
         timing = Timing(time.monotonic() - self._begun, 0.0, self._estimate_s)
+        document = result_document(self._kind, self.session, self.session.conclusion, timing)
         try:
-            write_result(Path(self._result_file), result_document(self._kind, self.session, timing))
+            write_result(Path(self._result_file), document)
         except OSError as error:
             problem = f"result_file {self._result_file} could not be written: {error}"
             self.get_logger().error(problem)

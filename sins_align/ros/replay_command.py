@@ -9,16 +9,12 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 # Small matrices: threads cost more than they bring. It counts before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from sins_align.ros.command import ALIGNED, NOT_ALIGNED, Parser, run_command
-
-if TYPE_CHECKING:
-    from sins_align.ros.bags import Bag
-    from sins_align.ros.replay import Replay
 
 NAME = "align_replay"
 NODE = "swing_align"
@@ -108,12 +104,13 @@ def _replay_swing(options: argparse.Namespace, begin: float) -> int:
     from sins_align.ros.bags import open_bag
     from sins_align.ros.parameter_values import read_values
     from sins_align.ros.replay import open_session, run_replay
-    from sins_align.ros.result import Timing, result_document
+    from sins_align.ros.replay_output import Outcome, print_outcome, write_outcome
+    from sins_align.ros.result import Timing, result_document, write_result
     from sins_align.ros.truth import read_truth
 
     values = read_values(NODE, options.params, options.overrides)
-    values.update({key: getattr(options, key) for key in POSITION if getattr(options, key)
-                   is not None})  # fmt: skip
+    given = {key: getattr(options, key) for key in POSITION}
+    values.update({key: value for key, value in given.items() if value is not None})
     config = swing_config(values)
     truth = read_truth(options.truth) if options.truth else None
     if options.out:
@@ -125,11 +122,23 @@ def _replay_swing(options: argparse.Namespace, begin: float) -> int:
             start_s=options.start, duration_s=options.duration,
             progress=progress, record_rate_hz=rate,
         )  # fmt: skip
-    _warn(bag)
+    for warning in bag.warnings:
+        print(f"{NAME}: warning: {warning}", file=sys.stderr)
+    estimate = replay.session.conclusion
     timing = Timing(time.perf_counter() - begin, bag.report.read_s, replay.estimate_s)
-    document = result_document(NODE, replay.session, timing)
-    _print(options, replay, document, truth)
-    _write(options, replay, document, truth, bag)
+    document = result_document(NODE, replay.session, estimate, timing)
+    outcome = Outcome(
+        ", ".join(map(str, options.bags)), replay, estimate, document, truth,
+        min(bag.report.frame_ids, default=""),
+    )  # fmt: skip
+    # Printed first: what was computed is not lost when something cannot be written.
+    print_outcome(outcome, as_json=options.json == "-", quiet=options.quiet)
+    if options.json and options.json != "-":
+        write_result(Path(options.json), document)
+    if options.out:
+        write_outcome(options.out, outcome, with_bag=options.bag)
+        if not options.quiet and options.json != "-":
+            print(f"written to {options.out}")
     return ALIGNED if document["aligned"] else NOT_ALIGNED
 
 
@@ -144,52 +153,6 @@ def _progress(quiet: bool) -> Iterator[Callable[[float], None] | None]:
     bar_format = "{l_bar}{bar}| {elapsed} < {remaining}"
     with tqdm(total=1.0, desc="replay", leave=False, bar_format=bar_format) as bar:
         yield lambda done: bar.update(done - bar.n)
-
-
-def _warn(bag: Bag) -> None:
-    for warning in bag.warnings:
-        print(f"{NAME}: warning: {warning}", file=sys.stderr)
-
-
-def _print(
-    options: argparse.Namespace, replay: Replay, document: dict[str, Any], truth: Any
-) -> None:
-    """The result on standard output, before anything can fail to be written."""
-    from sins_align.ros.result import result_text
-    from sins_align.ros.result_table import describe_result
-
-    if options.json == "-":
-        sys.stdout.write(result_text(document))
-    elif not options.quiet:
-        print(describe_result(document, replay.session.estimate, truth))
-    sys.stdout.flush()
-
-
-def _write(
-    options: argparse.Namespace, replay: Replay, document: dict[str, Any], truth: Any, bag: Bag
-) -> None:
-    from sins_align.ros.result import write_result
-
-    if options.json and options.json != "-":
-        write_result(Path(options.json), document)
-    if options.out is None:
-        return
-    from sins_align.ros.report import write_estimates, write_report
-
-    write_result(options.out / "result.json", document)
-    write_estimates(options.out / "estimates.csv", replay.updates)
-    title = ", ".join(map(str, options.bags))
-    write_report(
-        options.out / "report.html", title, replay.updates, document,
-        replay.session.estimate, truth,
-    )  # fmt: skip
-    if options.bag:
-        from sins_align.ros.attitude_bag import write_attitude_bag
-
-        frame_id = min(bag.report.frame_ids, default="")
-        write_attitude_bag(options.out / "aligned.mcap", replay, NODE, frame_id)
-    if not options.quiet and options.json != "-":
-        print(f"written to {options.out}")
 
 
 if __name__ == "__main__":

@@ -64,13 +64,16 @@ def roll_pitch_heading_sigma(estimate: Estimate) -> Array:
     return sigma
 
 
-def result_document(node: str, session: Session, timing: Timing) -> dict[str, Any]:
+def result_document(
+    node: str, session: Session, estimate: Estimate | None, timing: Timing
+) -> dict[str, Any]:
     """The content of result.json; what has no value is None.
 
     Parameters
     ----------
     node : `swing_align` or `odo_align`
     session : as it stands now
+    estimate : its conclusion
     timing : of the run so far
     """
     status = session.status
@@ -84,7 +87,7 @@ def result_document(node: str, session: Session, timing: Timing) -> dict[str, An
         "state": status.state.value,
         "reason": status.reason,
         "stamp_ns": counts.last_stamp_ns,
-        **_estimate_part(session.estimate),
+        **_estimate_part(estimate),
         "heading_limit_arcmin": _number(status.heading_limit / ARCMIN),
         "input": _input_part(counts),
         "timing": {

@@ -1,0 +1,63 @@
+"""What a replay prints and writes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sins_align.ros.replay import Replay
+from sins_align.ros.result import result_text, write_result
+from sins_align.ros.result_table import describe_result
+from sins_align.ros.truth import Truth
+from sins_align.types import Estimate
+
+
+class Outcome(NamedTuple):
+    """A replay that is done.
+
+    title : what was replayed
+    estimate : the session's conclusion
+    document : the content of result.json
+    truth : to compare with, None where it is not known
+    frame_id : of the IMU
+    """
+
+    title: str
+    replay: Replay
+    estimate: Estimate | None
+    document: dict[str, Any]
+    truth: Truth | None
+    frame_id: str
+
+
+def print_outcome(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
+    """The result on standard output: result.json and nothing else, or a table, or nothing."""
+    if as_json:
+        sys.stdout.write(result_text(outcome.document))
+    elif not quiet:
+        print(describe_result(outcome.document, outcome.estimate, outcome.truth))
+    sys.stdout.flush()
+
+
+def write_outcome(folder: Path, outcome: Outcome, *, with_bag: bool) -> None:
+    """Write result.json, estimates.csv, report.html and, with_bag, aligned.mcap.
+
+    Raises
+    ------
+    OSError, BagError : a file cannot be written; it is then as it was before
+    """
+    from sins_align.ros.report import write_estimates, write_report
+
+    document, updates = outcome.document, outcome.replay.updates
+    write_result(folder / "result.json", document)
+    write_estimates(folder / "estimates.csv", updates)
+    write_report(
+        folder / "report.html", outcome.title, updates, document, outcome.estimate, outcome.truth
+    )
+    if with_bag:
+        from sins_align.ros.attitude_bag import write_attitude_bag
+
+        write_attitude_bag(
+            folder / "aligned.mcap", outcome.replay, document["node"], outcome.frame_id
+        )
