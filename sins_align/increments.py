@@ -29,6 +29,13 @@ from sins_align.types import Array, ImuBlock, ImuSampling, IntArray
 # Stamps closer to a uniform grid than this are treated as uniform.
 _UNIFORM_REL = 1e-6
 _UNIFORM_ABS_S = 2e-9
+# Where so many samples are missing, the noise of the nearest ones must not decide; up to
+# there the four nearest are as good as a fit, and quicker.
+_LONG_GAP = 4
+# Bursts of stamps on arrival make a median step that says nothing: no more than 20 kHz.
+_LEAST_STEP_NS = 50_000.0
+# A cubic through nodes of such unequal steps would multiply noise: the straight line does not.
+_UNEVEN = 5.0
 # Gauss-Legendre nodes and weights on [0, 1]: exact to degree 5, and (T - t) times a cubic
 # has degree 4.
 _GAUSS_X = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
@@ -69,6 +76,13 @@ def _stencil_weights(t: Array) -> tuple[IntArray, Array, Array]:
         for m in range(size):
             if m != j:
                 basis[:, :, j] *= (x - nodes[:, m, None]) / (nodes[:, j] - nodes[:, m])[:, None]
+    if dt.max() > _UNEVEN * dt.min():
+        of_nodes = np.diff(nodes, axis=1)
+        uneven = np.flatnonzero(of_nodes.max(axis=1) > _UNEVEN * of_nodes.min(axis=1))
+        left = uneven - start[uneven]
+        basis[uneven] = 0.0
+        basis[uneven, :, left] = 1.0 - _GAUSS_X
+        basis[uneven, :, left + 1] = _GAUSS_X
     weights = dt[:, None] * _GAUSS_W
     single = np.einsum("ng,ngj->nj", weights, basis)
     double = np.einsum("ng,ngj->nj", weights * (t[-1] - x), basis)
@@ -97,20 +111,38 @@ def fill_gaps(block: ImuBlock) -> ImuBlock:
     steps = np.diff(block.stamp_ns)
     if 2 * steps.max() < 3 * steps.min():
         return block
-    nominal = float(np.median(steps))
-    missing = np.rint(steps / nominal).astype(np.int64) - 1
-    if missing.max() <= 0:
+    nominal = max(float(np.median(steps)), _LEAST_STEP_NS)
+    missing = (np.rint(steps / nominal).astype(np.int64) - 1).clip(min=0)
+    if missing.max() == 0:
         return block
-    after = np.repeat(np.arange(steps.shape[0]), missing.clip(min=0))
+    after = np.repeat(np.arange(steps.shape[0]), missing)
     place = np.concatenate([np.arange(1, m + 1) for m in missing[missing > 0]])
     share = place / (missing[after] + 1.0)
     stamps = block.stamp_ns[after] + np.rint(share * steps[after]).astype(np.int64)
-    w, f = (_interpolate(block.stamp_ns, v, after, stamps) for v in block[1:])
-    return ImuBlock(
-        np.insert(block.stamp_ns, after + 1, stamps),
-        np.insert(block.w_ib_b, after + 1, w, axis=1),
-        np.insert(block.f_ib_b, after + 1, f, axis=1),
-    )
+    values = np.concatenate((block.w_ib_b, block.f_ib_b))
+    filled = _interpolate(block.stamp_ns, values, after, stamps)
+    for gap in np.flatnonzero(missing >= _LONG_GAP):
+        inside = slice(*np.searchsorted(after, (gap, gap + 1)))
+        filled[:, inside] = _fit(block.stamp_ns, values, int(gap), stamps[inside])
+    values = np.insert(values, after + 1, filled, axis=1)
+    return ImuBlock(np.insert(block.stamp_ns, after + 1, stamps), values[:3], values[3:])
+
+
+def _fit(stamp_ns: IntArray, values: Array, gap: int, wanted: IntArray) -> Array:
+    """Cubic by least squares through as long a stretch on either side as the gap is long.
+
+    The cubic through the four nearest samples would multiply their noise, and vibration, by
+    the length of the gap in samples.
+    """
+    length = stamp_ns[gap + 1] - stamp_ns[gap]
+    first, end = np.searchsorted(stamp_ns, (stamp_ns[gap] - length, stamp_ns[gap + 1] + length))
+    # Two samples on either side, where there are.
+    near = slice(max(min(first, gap - 1), 0), max(end, gap + 3))
+    middle, scale = stamp_ns[gap] + length // 2, 1.0 / length
+    t = (stamp_ns[near] - middle) * scale
+    degree = min(3, t.shape[0] - 1)
+    fit = np.linalg.lstsq(np.vander(t, degree + 1), values[:, near].T, rcond=None)[0]
+    return (np.vander((wanted - middle) * scale, degree + 1) @ fit).T
 
 
 def _interpolate(stamp_ns: IntArray, values: Array, after: IntArray, wanted: IntArray) -> Array:
