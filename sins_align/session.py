@@ -8,17 +8,32 @@ were handed over.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
+
+import numpy as np
 
 from sins_align.config import SwingConfig
 from sins_align.intake import Intake
-from sins_align.limits import heading_limit
+from sins_align.limits import heading_limit, level_limit
 from sins_align.status import Completer
 from sins_align.swing import make_aligner
-from sins_align.types import Estimate, ImuSamples, InputCounts, Position, State, Status
+from sins_align.types import (
+    Estimate,
+    ImuBlock,
+    ImuSamples,
+    InputCounts,
+    Position,
+    State,
+    Status,
+)
 
 NO_POSITION = "no latitude"
 NO_POSITION_REMEDY = "set latitude_deg, or publish a NavSatFix on topic fix"
+STREAM_REMEDY = "check the IMU's stamps, units and rate"
+GRADE_REMEDY = "check imu_grade and the IMU's units"
+# 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
+MAX_INTERVAL_S = 0.125
 
 
 class Update(NamedTuple):
@@ -48,14 +63,23 @@ class Session:
     def _begin(self, reason: str) -> None:
         self._aligner = make_aligner(self._config, self._position) if self._position else None
         self._intake = Intake(self._counts)
-        self._completer = Completer(self._config.completion)
+        self._completer = self._make_completer()
         self._begin_reason = reason
-        self._status = Status(State.WAITING, *self._waiting_reason())
+        self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
+        self._status: Status | None = None
 
-    def _waiting_reason(self) -> tuple[str, str]:
+    def _make_completer(self) -> Completer:
+        return Completer(self._config.completion, level_limit(self._config.grade))
+
+    def _waiting_status(self) -> Status:
         if self._position is None:
-            return NO_POSITION, NO_POSITION_REMEDY
-        return self._begin_reason or "no IMU data", ""
+            return Status(State.WAITING, NO_POSITION, NO_POSITION_REMEDY)
+        accepted = self._counts.imu_samples - self._counted[0]
+        rejected = self._counts.imu_rejected - self._counted[1]
+        if rejected > accepted:
+            reason = f"{rejected} of {accepted + rejected} IMU samples refused"
+            return Status(State.WAITING, reason, STREAM_REMEDY)
+        return Status(State.WAITING, self._begin_reason or "no IMU data")
 
     @property
     def config(self) -> SwingConfig:
@@ -85,7 +109,7 @@ class Session:
     @property
     def status(self) -> Status:
         """As of the last whole block."""
-        return self._status
+        return self._waiting_status() if self._status is None else self._status
 
     @property
     def imu_rate_hz(self) -> float | None:
@@ -94,7 +118,15 @@ class Session:
         return None if interval is None else 1.0 / interval
 
     def set_position(self, position: Position) -> None:
-        """Take the position of a fix. The first one counts; later ones change nothing."""
+        """Take the position of a fix. The first one counts; later ones change nothing.
+
+        Raises
+        ------
+        ValueError : not a position on the Earth
+        """
+        values = (position.latitude, position.longitude, position.altitude)
+        if not all(map(math.isfinite, values)) or abs(position.latitude) > 0.5 * math.pi:
+            raise ValueError(f"{position} is not a position on the Earth")
         if self._position is None:
             self._position = position
             self._begin(self._begin_reason)
@@ -108,41 +140,105 @@ class Session:
         """Take in samples in the order of their arrival; one update for every block filled.
 
         Samples that are refused are counted in `counts` and change nothing else.
+
+        Raises
+        ------
+        ValueError : arrays of another shape or type than `ImuSamples` says
         """
+        check_arrays(samples)
         updates: list[Update] = []
         self._intake.add(samples)
         while True:
             block = self._intake.next_block()
             if block is not None:
                 if self._aligner is not None:
-                    self._aligner.update(block)
-                    updates += self._conclude(int(block.stamp_ns[-1]))
+                    updates += self._take_in(block)
                 continue
-            if self._intake.broken_s is None:
+            if not self._intake.break_reason:
                 return updates
             # The attitude chain is cut: what the base did meanwhile nobody knows.
             rest = self._intake.take_after_break()
-            self.restart(f"{self._intake.broken_s:.1f} s without IMU data")
-            self._intake.add(rest, counted=True)
+            self.restart(self._intake.break_reason)
+            self._intake.add_usable(rest)
 
-    def _conclude(self, stamp_ns: int) -> list[Update]:
+    def _take_in(self, block: ImuBlock) -> list[Update]:
         """The block's update; none while the aligner's estimate is that of a block before."""
         assert self._aligner is not None and self._position is not None
+        stamp_ns = int(block.stamp_ns[-1])
+        elapsed = self._intake.elapsed_s(stamp_ns)
+        interval = float(np.median(np.diff(block.stamp_ns))) * 1e-9
+        if interval > MAX_INTERVAL_S:
+            rate = f"the IMU gives {1.0 / interval:.1f} samples a second, 10 are the least"
+            return self._fail(stamp_ns, Status(State.FAILED, rate, STREAM_REMEDY, elapsed))
+        self._aligner.update(block)
         estimate = self._aligner.estimate
+        if estimate is not None and not is_sound(estimate):
+            reason = "the estimate broke down: beginning anew"
+            return self._fail(stamp_ns, Status(State.FAILED, reason, GRADE_REMEDY, elapsed))
         if estimate is not None and estimate.stamp_ns != stamp_ns:
             return []
-        elapsed = self._intake.elapsed_s(stamp_ns)
         limit = heading_limit(self._config.grade, self._position.latitude)
         self._status = self._completer.update(estimate, elapsed, limit, self._begin_reason)
         return [Update(stamp_ns, estimate, self._status)]
+
+    def _fail(self, stamp_ns: int, status: Status) -> list[Update]:
+        """The block is of no use; the alignment begins anew with the first one that is."""
+        assert self._position is not None
+        self._aligner = make_aligner(self._config, self._position)
+        self._completer = self._make_completer()
+        self._status = status
+        return [Update(stamp_ns, None, status)]
 
     @property
     def estimate(self) -> Estimate | None:
         """At the last sample taken in, None before the coarse attitude exists.
 
-        A pure function of the samples so far: asking, or not, changes nothing.
+        Cheap: the last update's, carried on by the gyros. A pure function of the samples so
+        far: asking, or not, changes nothing.
         """
         block = self._intake.pending_block()
         if block is None or self._aligner is None:
             return None
         return self._aligner.propagate(block)
+
+    @property
+    def conclusion(self) -> Estimate | None:
+        """As `estimate`, but with everything made of every sample: for a result.
+
+        A pure function of the samples so far, too.
+        """
+        block = self._intake.pending_block()
+        if block is None or self._aligner is None:
+            return None
+        estimate = self._aligner.conclude(block)
+        return estimate if estimate is not None and is_sound(estimate) else None
+
+
+def is_sound(estimate: Estimate) -> bool:
+    """Whether an estimate is fit to be shown: finite, and no variance below zero."""
+    P = estimate.misalignment_covariance
+    finite = np.isfinite(P).all() and np.isfinite(estimate.q_nb).all()
+    return bool(finite and (P.diagonal() >= 0.0).all())
+
+
+def check_arrays(samples: ImuSamples) -> None:
+    """Refuse what would go wrong later, and far from its cause.
+
+    Raises
+    ------
+    ValueError : names the array
+    """
+    for name, array, dtype in (
+        ("stamp_ns", samples.stamp_ns, np.int64),
+        ("w_ib_b", samples.w_ib_b, np.float64),
+        ("f_ib_b", samples.f_ib_b, np.float64),
+    ):
+        if not isinstance(array, np.ndarray) or array.dtype.type is not dtype:
+            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            raise ValueError(f"{name}: an array of {dtype.__name__} is expected, not {kind}")
+    shape = (3, samples.stamp_ns.size)
+    if samples.stamp_ns.ndim != 1:
+        raise ValueError(f"stamp_ns: shape (N,) is expected, not {samples.stamp_ns.shape}")
+    for name, array in (("w_ib_b", samples.w_ib_b), ("f_ib_b", samples.f_ib_b)):
+        if array.shape != shape:
+            raise ValueError(f"{name}: shape {shape} is expected, not {array.shape}")

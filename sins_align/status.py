@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import math
+
 from sins_align.config import Completion
 from sins_align.types import Estimate, State, Status
 from sins_align.units import ARCMIN, ARCSEC
 
 # From here on the levels and heading are small-angle quantities.
 FINE_HEADING_SIGMA = 0.035  # [rad], 2 deg
+POLE_REMEDY = "there is no heading at the pole: check latitude_deg"
 
 
 class Completer:
-    """Watches sigma against the thresholds; aligned when below for hold_s."""
+    """Watches sigma against the thresholds; aligned when below for hold_s.
 
-    def __init__(self, completion: Completion) -> None:
+    Parameters
+    ----------
+    completion : thresholds and time to hold
+    level_limit : what the declared accelerometers allow for the levels [rad]
+    """
+
+    def __init__(self, completion: Completion, level_limit: float = 0.0) -> None:
         self._completion = completion
+        self._level_limit = level_limit
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
@@ -31,15 +41,15 @@ class Completer:
         begin_reason : why the alignment began anew, empty at the first start
         """
         if estimate is None:
-            self._below_since_s = None
+            self._below_since_s = self._aligned_at_s = None
             reason = f"collecting data for the coarse attitude ({elapsed_s:.0f} s)"
             if begin_reason:
                 reason += f"; began anew: {begin_reason}"
-            return Status(State.COARSE, reason, "", elapsed_s, None, limit)
+            remedy = self._heading_remedy(limit)
+            return Status(State.COARSE, reason, remedy, elapsed_s, None, limit)
         missing, remedy = self._missing(estimate, limit)
         if missing:
-            self._below_since_s = None
-            self._aligned_at_s = None
+            self._below_since_s = self._aligned_at_s = None
         elif self._below_since_s is None:
             self._below_since_s = elapsed_s
         held = 0.0 if self._below_since_s is None else elapsed_s - self._below_since_s
@@ -54,19 +64,34 @@ class Completer:
         return Status(state, missing, remedy, elapsed_s, None, limit)
 
     def _missing(self, estimate: Estimate, limit: float) -> tuple[str, str]:
+        """What is not below its threshold, and what helps; written so that NaN is not."""
         east, north, heading = (float(s) for s in estimate.sigma)
-        missing = []
-        remedy = ""
-        if heading >= self._completion.heading_threshold:
+        missing, remedies = [], []
+        if not heading < self._completion.heading_threshold:
             threshold = self._completion.heading_threshold / ARCMIN
-            missing.append(f"heading sigma {heading / ARCMIN:.2f}' above {threshold:g}'")
-            if self._completion.heading_threshold <= limit:
-                remedy = (
-                    f"the declared gyro bias allows {limit / ARCMIN:.2f}' at this latitude: raise"
-                    " heading_threshold_arcmin, turn the base by 90 deg, or use a better gyro"
-                )
-        level = max(east, north)
-        if level >= self._completion.level_threshold:
-            threshold = self._completion.level_threshold / ARCSEC
-            missing.append(f'level sigma {level / ARCSEC:.1f}" above {threshold:g}"')
-        return "; ".join(missing), remedy
+            missing.append(f"heading sigma {heading / ARCMIN:.2f}' not below {threshold:g}'")
+            remedies.append(self._heading_remedy(limit))
+        level_threshold = self._completion.level_threshold
+        if not (east < level_threshold and north < level_threshold):
+            level, threshold = max(east, north) / ARCSEC, level_threshold / ARCSEC
+            missing.append(f'level sigma {level:.1f}" not below {threshold:g}"')
+            remedies.append(self._level_remedy())
+        return "; ".join(missing), "; ".join(filter(None, remedies))
+
+    def _heading_remedy(self, limit: float) -> str:
+        if math.isnan(limit):
+            return POLE_REMEDY
+        if limit < self._completion.heading_threshold:
+            return ""
+        return (
+            f"the declared gyro bias allows {limit / ARCMIN:.2f}' at this latitude: raise"
+            " heading_threshold_arcmin, turn the base by 90 deg, or use a better gyro"
+        )
+
+    def _level_remedy(self) -> str:
+        if self._level_limit < self._completion.level_threshold:
+            return ""
+        return (
+            f'the declared accelerometer bias allows {self._level_limit / ARCSEC:.1f}" on a'
+            " base that does not tilt: raise level_threshold_arcsec, or use better accelerometers"
+        )
