@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -42,6 +44,8 @@ class ImuGrade:
             value = getattr(self, field.name)
             if not 0.0 <= value < float("inf"):
                 raise ConfigError(f"{field.name}: {value} is not a finite number >= 0")
+        if self.gyro_bias_correlation_s == 0.0:
+            raise ConfigError("gyro_bias_correlation_s: 0 is not a correlation time")
 
 
 # YAML key -> (field, unit): the only place where a grade's units are converted.
@@ -57,6 +61,21 @@ GRADE_KEYS: dict[str, tuple[str, float]] = {
 }
 
 
+def as_number(key: str, value: object) -> float:
+    """`value` as a float.
+
+    Raises
+    ------
+    ConfigError : it is no number
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Real):
+        raise ConfigError(f"{key}: {value!r} is not a number")
+    try:
+        return float(value)
+    except OverflowError:
+        return math.copysign(math.inf, value)
+
+
 def grade_from_values(values: Mapping[str, object], base: ImuGrade | None = None) -> ImuGrade:
     """The grade that `values` (YAML keys, YAML units) describe, on top of `base`.
 
@@ -68,12 +87,11 @@ def grade_from_values(values: Mapping[str, object], base: ImuGrade | None = None
     for key, value in values.items():
         if key not in GRADE_KEYS:
             raise ConfigError(f"{key}: unknown key; known are {', '.join(GRADE_KEYS)}")
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigError(f"{key}: {value!r} is not a number")
-        if not 0.0 <= value < float("inf"):
+        number = as_number(key, value)
+        if not 0.0 <= number < float("inf"):
             raise ConfigError(f"{key}: {value} is not a finite number >= 0")
         field, unit = GRADE_KEYS[key]
-        changes[field] = float(value) * unit
+        changes[field] = number * unit
     return dataclasses.replace(base if base is not None else ImuGrade(), **changes)
 
 

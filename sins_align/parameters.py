@@ -5,19 +5,23 @@ Values here keep the unit that their name carries; `sins_align.config` converts 
 
 from __future__ import annotations
 
+import copy
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
-from sins_align.grades import GRADE_KEYS, ConfigError, grade_names
+from sins_align.grades import GRADE_KEYS, ConfigError, as_number, grade_names
 
 Value = bool | int | float | str | list[float]
 
 NAN = math.nan
+WILDCARD = "/**"
 BOTH = ("swing_align", "odo_align")
 SWING = ("swing_align",)
 
@@ -67,9 +71,7 @@ class Parameter:
         return number
 
     def _check_number(self, value: object) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ConfigError(f"{self.name}: {value!r} is not a number")
-        number = float(value)
+        number = as_number(self.name, value)
         unset = isinstance(self.default, float) and math.isnan(self.default)
         if math.isnan(number) and unset:
             return number
@@ -78,6 +80,8 @@ class Parameter:
         return number
 
     def _check_array(self, value: object) -> list[float]:
+        if isinstance(value, np.ndarray):
+            value = value.tolist()
         if not isinstance(value, list | tuple):
             raise ConfigError(f"{self.name}: {value!r} is not a list of numbers")
         if self.length is not None and len(value) != self.length:
@@ -178,7 +182,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     ),
     Parameter(
         "position_noise_m",
-        0.001,
+        0.0005,
         "floor of the swing centre's position noise at each filter step, 1 sigma; it grows"
         " with the innovations",
         SWING,
@@ -255,38 +259,51 @@ def check_values(node: str, values: Mapping[str, object]) -> dict[str, Value]:
         if key not in table:
             raise ConfigError(f"{key}: unknown parameter of {node}")
     return {
-        name: p.check(values[name]) if name in values else p.default for name, p in table.items()
+        name: p.check(values[name]) if name in values else copy.copy(p.default)
+        for name, p in table.items()
     }
+
+
+class _RosYaml(yaml.SafeLoader):
+    """YAML with the numbers that ROS reads: to PyYAML alone, 1e-6 is a text."""
+
+
+_RosYaml.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
 
 
 def read_parameter_file(path: Path, node: str) -> dict[str, object]:
     """The values for `node` in a ROS 2 parameter file.
 
-    Sections `/**`, `node` and `/node` are read, in the order of the file.
+    Sections `node` and `/node` win over `/**` wherever they stand, as in rclpy.
 
     Raises
     ------
     ConfigError : no such file, no YAML, no section for the node; names the file
     """
     try:
-        document: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document: Any = yaml.load(path.read_text(encoding="utf-8"), _RosYaml)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     except yaml.YAMLError as error:
         raise ConfigError(f"{path}: no valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(document, dict):
         raise ConfigError(f"{path}: not a ROS 2 parameter file (a map of nodes is expected)")
+    sections = [name for name in document if name in (WILDCARD, node, f"/{node}")]
+    if not sections:
+        raise ConfigError(f"{path}: has no section for {node}")
     values: dict[str, object] = {}
-    found = False
-    for section, content in document.items():
-        if str(section) not in ("/**", node, f"/{node}"):
-            continue
+    for section in sorted(sections, key=lambda name: name != WILDCARD):
+        content = document[section]
         if not isinstance(content, dict) or set(content) != {"ros__parameters"}:
             raise ConfigError(f"{path}: {section}: 'ros__parameters' is expected, and only that")
-        found = True
-        values.update(content["ros__parameters"] or {})
-    if not found:
-        raise ConfigError(f"{path}: has no section for {node}")
+        parameters = content["ros__parameters"]
+        if not isinstance(parameters, dict | None):
+            raise ConfigError(f"{path}: {section}: ros__parameters: a map of names is expected")
+        values.update(parameters or {})
     return values
 
 
@@ -304,10 +321,10 @@ def parse_override(text: str, node: str) -> tuple[str, object]:
     if parameter is None:
         raise ConfigError(f"{name}: unknown parameter of {node}")
     try:
-        parsed = yaml.safe_load(value)
+        parsed = yaml.load(value, _RosYaml)
     except yaml.YAMLError:
         raise ConfigError(f"{name}: {value!r} is no valid YAML") from None
-    # YAML 1.1 reads "1e-6" as text, but ROS reads it as a number.
+    # Without the dot of YAML, nan and inf are texts.
     if isinstance(parsed, str) and isinstance(parameter.default, int | float):
         try:
             parsed = float(parsed)
