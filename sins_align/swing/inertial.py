@@ -235,8 +235,14 @@ class InertialAligner:
         """Let the filter take in the epochs that it has not."""
         assert self._about is not None
         steps = build_steps(self._epochs, self._filtered, self._about, self._gravity, self._noise)
-        theta = None if self._solution is None else self._solution.theta
-        self._filter.run(steps, theta)
+        solution = self._solution
+        if solution is None:
+            self._filter.run(steps, None)
+        elif self._filtered == 0:  # again: the solution knows these epochs
+            self._filter.run(steps, solution.theta)
+        else:
+            J = solution.jacobian
+            self._filter.run(steps, solution.theta, J @ solution.covariance @ J.T)
         self._filtered = len(self._epochs)
 
     def _solver(self) -> Solver:

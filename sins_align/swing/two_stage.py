@@ -308,21 +308,32 @@ class TwoStageFilter:
         """(n, n) covariance of the random part."""
         return self._M[:, self.columns :]
 
-    def run(self, steps: Steps, theta: Array | None) -> None:
-        """Take in epochs. With theta (p,) the innovations are judged and may grow R."""
+    def run(self, steps: Steps, theta: Array | None, theta_covariance: Array | None = None) -> None:
+        """Take in epochs. With theta (p,) the innovations are judged and may grow R.
+
+        theta_covariance : (p, p), where theta does not know these epochs yet: what its error
+            adds to the innovations is no motion of the centre
+        """
         for first in range(0, steps.F.shape[0], self.PORTION):
             part = Steps(*(a[first : first + self.PORTION] for a in steps))
             E, SiE, S = self._run_portion(part)
-            self.normal += E.reshape(-1, self.columns).T @ SiE.reshape(-1, self.columns)
-            if theta is not None:
-                whole = np.append(theta, 1.0)
-                innovations, solved = E @ whole, SiE @ whole
-                self.noise.update(
-                    float((innovations * innovations).mean()),
-                    float(np.trace(S, axis1=1, axis2=2).mean()) / 3.0,
-                    float((innovations * solved).mean()),
-                    S.shape[0],
-                )
+            K = E.shape[0]
+            E, SiE = E.reshape(-1, self.columns), SiE.reshape(-1, self.columns)
+            self.normal += E.T @ SiE
+            if theta is None:
+                continue
+            whole = np.append(theta, 1.0)
+            innovations = E @ whole
+            expected = float(np.trace(S, axis1=1, axis2=2).sum())
+            if theta_covariance is not None:
+                expected += float(((E[:, :-1] @ theta_covariance) * E[:, :-1]).sum())
+            normalised = float(innovations @ (SiE @ whole))
+            self.noise.update(
+                float(innovations @ innovations) / (3 * K),
+                expected / (3 * K),
+                normalised / (3 * K),
+                K,
+            )
         self._M[:, self.columns :] = 0.5 * (self.P + self.P.T)
 
     def _run_portion(self, steps: Steps) -> tuple[Array, Array, Array]:
