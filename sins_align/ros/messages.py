@@ -7,7 +7,7 @@ import math
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion
-from sensor_msgs.msg import Imu, NavSatFix
+from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_msgs.msg import Header
 
 from sins_align.types import Array, Estimate, LeverArm, Position
@@ -86,6 +86,7 @@ def fix_message(stamp_ns: int, position: Position, frame_id: str) -> NavSatFix:
     """A fix at a position."""
     return NavSatFix(
         header=header_message(stamp_ns, frame_id),
+        status=NavSatStatus(status=NavSatStatus.STATUS_FIX, service=NavSatStatus.SERVICE_GPS),
         latitude=position.latitude / DEG,
         longitude=position.longitude / DEG,
         altitude=position.altitude,

@@ -180,6 +180,7 @@ class AlignNode(Node):
         restarts = self.session.restarts
         if restarts != self._logged_restarts:
             self._logged_restarts = restarts
+            self._logged_state = State.WAITING
             self.get_logger().warning(f"the alignment began anew: {self.session.begin_reason}")
         if status.state is not self._logged_state:
             self._logged_state = status.state

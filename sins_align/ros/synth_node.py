@@ -41,6 +41,7 @@ NAME = "align_synth"
 WINDOW = 200  # samples under way at speed 0; the shared memory of Fast DDS holds 512
 BURST = 100  # samples at a time when the timetable is behind
 STALLED_S = 20.0
+SETTLE_S = 0.5
 END_S = 2.0  # how long the end waits for the last samples to be taken
 _NS = 1_000_000_000
 
@@ -124,10 +125,14 @@ class SynthNode(Node):
                 self._fix.get_subscription_count() and self.count_publishers(self._progress)
             )
             if found >= needed and not lone:
-                return
+                break
             if time.monotonic() > end:
                 name = self._progress if found >= needed else self._imu.topic_name
                 raise TimeoutError(f"{found} of {needed} subscribers; nobody on {name}")
+            rclpy.spin_once(self, timeout_sec=0.05)
+        # A subscription that is known here may not know of this publisher yet.
+        end = time.monotonic() + SETTLE_S
+        while time.monotonic() < end:
             rclpy.spin_once(self, timeout_sec=0.05)
 
     def _play_timed(self, speed: float) -> None:
