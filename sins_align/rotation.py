@@ -145,6 +145,30 @@ def quaternion_from_dcm(C: Array) -> Array:
     return q if q[0] >= 0.0 else -q
 
 
+def _band_of_increment() -> Array:
+    """(4, 16) linear map of an increment (w, x, y, z) to its two columns of the band matrix.
+
+    With (c, d) = (w + i x, y + i z) and unknowns (a_0, b_0, a_1, b_1, ...), step k + 1 is
+
+        a_{k+1} - c a_k + d* b_k = 0        (band offsets 2 and 1)
+        b_{k+1} - d a_k - c* b_k = 0        (band offsets 3 and 2)
+
+    Axes of the map before it is flattened: component, column (a_k, b_k), offset, real and
+    imaginary part. The diagonal, offset 0, is 1 and not stored.
+    """
+    w, x, y, z = range(4)
+    a, b, re, im = 0, 1, 0, 1
+    band = np.zeros((4, 2, 4, 2))
+    band[w, a, 2, re] = band[x, a, 2, im] = -1.0
+    band[y, a, 3, re] = band[z, a, 3, im] = -1.0
+    band[y, b, 1, re], band[z, b, 1, im] = 1.0, -1.0
+    band[w, b, 2, re], band[x, b, 2, im] = -1.0, 1.0
+    return band.reshape(4, 16)
+
+
+_BAND_OF_INCREMENT = _band_of_increment()
+
+
 def cumulative_rotation(increments: Array) -> Array:
     """q_0 = 1, q_k = q_{k-1} d_k for unit quaternions d: (4, N) -> (4, N + 1).
 
@@ -154,24 +178,12 @@ def cumulative_rotation(increments: Array) -> Array:
     call instead of a loop.
     """
     n = increments.shape[1]
-    w, x, y, z = increments
-    # With (c, d) = (w + i x, y + i z) and unknowns (a_0, b_0, a_1, b_1, ...), step k + 1 is
-    #   a_{k+1} - c a_k + d* b_k = 0        (band offsets 2 and 1)
-    #   b_{k+1} - d a_k - c* b_k = 0        (band offsets 3 and 2)
-    # The last axis of `band` holds real and imaginary part; diagonals are its third axis.
-    band = np.zeros((n + 1, 2, 4, 2))
-    a_k, b_k = band[:n, 0], band[:n, 1]
-    np.negative(w, out=a_k[:, 2, 0])
-    np.negative(x, out=a_k[:, 2, 1])
-    np.negative(y, out=a_k[:, 3, 0])
-    np.negative(z, out=a_k[:, 3, 1])
-    b_k[:, 1, 0] = y
-    np.negative(z, out=b_k[:, 1, 1])
-    np.negative(w, out=b_k[:, 2, 0])
-    b_k[:, 2, 1] = x
+    band = np.empty((n + 1, 16))
+    np.matmul(increments.T, _BAND_OF_INCREMENT, out=band[:n])
+    band[n] = 0.0
+    matrix = band.view(complex).reshape(2 * (n + 1), 4).T
     unknowns = np.zeros(2 * (n + 1), dtype=complex)
     unknowns[0] = 1.0
-    matrix = band.view(complex).reshape(2 * (n + 1), 4).T
     unknowns = ztbsv(3, matrix, unknowns, lower=1, diag=1, overwrite_x=1)
     return np.ascontiguousarray(unknowns.view(float).reshape(n + 1, 4).T)
 
