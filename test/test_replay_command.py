@@ -26,6 +26,8 @@ from sins_align.ros.bags import open_bag
 ROOT = Path(__file__).resolve().parent.parent
 EASY = ["-p", "heading_threshold_arcmin:=20", "-p", "level_threshold_arcsec:=60", "-p", "hold_s:=2"]
 
+HARD = ["-p", "heading_threshold_arcmin:=0.01"]  # below what the declared gyro allows
+
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -58,7 +60,7 @@ def test_aligned_is_status_0_and_not_yet_is_3(replay: Any, bag: Path) -> None:
     done = replay("swing", bag, *EASY)
     assert (done.status, done.err) == (0, "")
     assert "aligned after" in done.out
-    done = replay("swing", bag)
+    done = replay("swing", bag, *HARD)
     assert done.status == 3
     assert "not aligned (fine)" in done.out
 
@@ -138,7 +140,7 @@ def test_parameter_file_and_overrides(replay: Any, bag: Path, tmp_path: Path) ->
     done = replay("swing", bag, "--params", file, *EASY, "-p", "heading_threshold_arcmin:=0.1")
     assert done.status == 3
     shipped = ROOT / "config" / "swing_align.yaml"
-    assert replay("swing", bag, "--params", shipped).status == 3
+    assert replay("swing", bag, "--params", shipped, *HARD).status == 3
 
 
 def test_part_of_a_bag(replay: Any, bag: Path) -> None:
@@ -156,7 +158,7 @@ def test_position_is_needed(replay: Any, bag: Path, tmp_path: Path) -> None:
     done = replay("swing", tmp_path / "nofix")
     assert done.status == 2
     assert "--latitude-deg" in done.err
-    given = replay("swing", tmp_path / "nofix", "--latitude-deg", 40, "--altitude-m", 50)
+    given = replay("swing", tmp_path / "nofix", "--latitude-deg", 40, "--altitude-m", 50, *HARD)
     assert given.status == 3
 
 
@@ -222,7 +224,7 @@ def test_progress_bar_on_a_terminal_and_none_in_a_pipe(bag: Path) -> None:
     assert run_process("swing", bag).stderr == ""
     terminal, other_end = pty.openpty()
     fcntl.ioctl(other_end, termios.TIOCSWINSZ, struct.pack("4H", 24, 80, 0, 0))
-    done = run_process("swing", bag, stderr=other_end)
+    done = run_process("swing", bag, *HARD, stderr=other_end)
     assert select.select([terminal], [], [], 0.0)[0], "nothing was shown"
     shown = os.read(terminal, 100_000).decode()
     os.close(other_end)
@@ -244,7 +246,7 @@ def test_no_ros_is_needed(bag: Path, tmp_path: Path) -> None:
     for name in ("rclpy", "sensor_msgs"):
         (tmp_path / f"{name}.py").write_text("raise ImportError('not here')\n")
     done = subprocess.run(
-        [sys.executable, "-m", "sins_align.ros.replay_command", "swing", str(bag), "--quiet"],
+        [sys.executable, "-m", "sins_align.ros.replay_command", "swing", str(bag), "--quiet", *HARD],
         env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}, timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 3
