@@ -245,8 +245,9 @@ def test_a_reader_that_leaves_is_no_bug(bag: Path) -> None:
 def test_no_ros_is_needed(bag: Path, tmp_path: Path) -> None:
     for name in ("rclpy", "sensor_msgs"):
         (tmp_path / f"{name}.py").write_text("raise ImportError('not here')\n")
+    words = ["sins_align.ros.replay_command", "swing", str(bag), "--quiet", *HARD]
     done = subprocess.run(
-        [sys.executable, "-m", "sins_align.ros.replay_command", "swing", str(bag), "--quiet", *HARD],
+        [sys.executable, "-m", *words],
         env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}, timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 3
