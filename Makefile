@@ -15,7 +15,7 @@ PYTHONS := $(if $(PYTHON),"$(PYTHON)",python3.12 "$(PYENV_ROOT)"/versions/3.12.*
 
 BIN := .venv/bin
 STAMP := .venv/.complete
-EXTRAS := bag,colcon,report,ros,test
+EXTRAS := bag,colcon,ros,test
 
 # Small matrices: threads cost more than they bring.
 export OPENBLAS_NUM_THREADS := 1

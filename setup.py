@@ -30,12 +30,13 @@ setup(
     install_requires=["numpy>=1.26", "scipy>=1.11", "PyYAML>=6.0", "tqdm>=4.60"],
     extras_require={
         # Bags are read without ROS. rosdep knows none of these, hence an extra.
-        "bag": ["rosbags>=0.10", "mcap>=1.1", "zstandard>=0.20"],
-        "report": ["plotly>=5.20"],
+        "bag": ["rosbags>=0.10", "zstandard>=0.20", "lz4>=4.0"],
         # rclpy and the messages, where no ROS is installed on the machine.
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "test": [
             "hypothesis",
+            "joblib",
+            "mcap>=1.1",
             "mypy",
             "pytest",
             "pytest-cov",
