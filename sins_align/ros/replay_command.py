@@ -152,7 +152,11 @@ def _progress(quiet: bool) -> Iterator[Callable[[float], None] | None]:
 
     bar_format = "{l_bar}{bar}| {elapsed} < {remaining}"
     with tqdm(total=1.0, desc="replay", leave=False, bar_format=bar_format) as bar:
-        yield lambda done: bar.update(done - bar.n)
+
+        def show(done: float) -> None:
+            bar.update(done - bar.n)
+
+        yield show
 
 
 if __name__ == "__main__":
