@@ -73,7 +73,7 @@ def as_number(key: str, value: object) -> float:
     try:
         return float(value)
     except OverflowError:
-        return math.copysign(math.inf, value)
+        return -math.inf if value < 0 else math.inf
 
 
 def grade_from_values(values: Mapping[str, object], base: ImuGrade | None = None) -> ImuGrade:
