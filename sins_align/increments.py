@@ -113,7 +113,7 @@ def fill_gaps(block: ImuBlock) -> ImuBlock:
     running mean is interpolated, which is what a lost sample would have carried.
     """
     steps = np.diff(block.stamp_ns)
-    if 2 * steps.max() < 3 * steps.min():
+    if steps.shape[0] < 2 or 2 * steps.max() < 3 * steps.min():
         return block
     nominal = max(float(np.median(steps)), _LEAST_STEP_NS)
     missing = (np.rint(steps / nominal).astype(np.int64) - 1).clip(min=0)

@@ -31,7 +31,7 @@ from sins_align.types import (
 NO_POSITION = "no latitude"
 NO_POSITION_REMEDY = "set latitude_deg, or publish a NavSatFix on topic fix"
 STREAM_REMEDY = "check the IMU's stamps, units and rate"
-GRADE_REMEDY = "check imu_grade and the IMU's units"
+GRADE_REMEDY = "check latitude_deg, imu_grade and the IMU's units"
 # 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
 MAX_INTERVAL_S = 0.125
 
@@ -170,8 +170,11 @@ class Session:
         if interval > MAX_INTERVAL_S:
             rate = f"the IMU gives {1.0 / interval:.1f} samples a second, 10 are the least"
             return self._fail(stamp_ns, Status(State.FAILED, rate, STREAM_REMEDY, elapsed))
-        self._aligner.update(block)
-        estimate = self._aligner.estimate
+        try:
+            self._aligner.update(block)
+            estimate = self._aligner.estimate
+        except np.linalg.LinAlgError as error:
+            return self._fail(stamp_ns, Status(State.FAILED, str(error), GRADE_REMEDY, elapsed))
         if estimate is not None and not is_sound(estimate):
             reason = "the estimate broke down: beginning anew"
             return self._fail(stamp_ns, Status(State.FAILED, reason, GRADE_REMEDY, elapsed))
@@ -210,7 +213,10 @@ class Session:
         block = self._intake.pending_block()
         if block is None or self._aligner is None:
             return None
-        estimate = self._aligner.conclude(block)
+        try:
+            estimate = self._aligner.conclude(block)
+        except np.linalg.LinAlgError:
+            return None
         return estimate if estimate is not None and is_sound(estimate) else None
 
 
