@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from sins_align.config import swing_config
+from sins_align.config import SwingConfig, swing_config
 from sins_align.rotation import (
     dcm_from_quaternion,
     exp_rotation,
@@ -72,11 +72,11 @@ def _start_attitude(simulated: SwingRun, error_deg: float) -> list[float]:
     return list(np.degrees(rpy_from_dcm(C_wrong)))
 
 
-def run(
-    options: SwingOptions, parameters: Mapping[str, Any], start_error_deg: float | None = None
-) -> Outcome:
-    """One simulated alignment; the paper's method starts wrong by `start_error_deg`."""
-    simulated = simulate_swing(options)
+def make_config(
+    simulated: SwingRun, parameters: Mapping[str, Any], start_error_deg: float | None = None
+) -> SwingConfig:
+    """Settings that fit the run; the paper's method starts wrong by `start_error_deg`."""
+    options = simulated.options
     values = {
         "latitude_deg": options.latitude_deg,
         "altitude_m": options.altitude_m,
@@ -86,7 +86,15 @@ def run(
     }
     if start_error_deg is not None:
         values["initial_rpy_deg"] = _start_attitude(simulated, start_error_deg)
-    session = Session(swing_config(values))
+    return swing_config(values)
+
+
+def run(
+    options: SwingOptions, parameters: Mapping[str, Any], start_error_deg: float | None = None
+) -> Outcome:
+    """One simulated alignment."""
+    simulated = simulate_swing(options)
+    session = Session(make_config(simulated, parameters, start_error_deg))
     session.add_imu(simulated.imu)
     estimate = session.conclusion
     if estimate is None or estimate.lever_arm is None:

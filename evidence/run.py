@@ -34,7 +34,8 @@ def main() -> int:
         begin = time.monotonic()
         for name, outcomes, checks in section(arguments.seeds):
             print(f"  {name}, {len(outcomes)} runs, {time.monotonic() - begin:.0f} s")
-            print("\n".join(lines(outcomes)))
+            if outcomes:
+                print("\n".join(lines(outcomes)))
             print("\n".join(str(check) for check in checks), flush=True)
             broken += sum(not check.kept for check in checks)
     print(f"{broken} bounds broken")

@@ -10,10 +10,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed
 
-from evidence.monte_carlo import Outcome, heading_nees, monte_carlo
-from sins_align.simulate import SwingOptions
-from sins_align.types import Array
+from evidence.monte_carlo import Outcome, heading_nees, make_config, monte_carlo
+from sins_align.simulate import SwingOptions, simulate_swing
+from sins_align.swing.paper import PaperAligner
+from sins_align.types import Array, ImuBlock
 
 RIGID = {"position_noise_m": 1e-6}
 
@@ -109,6 +111,37 @@ def paper_tables(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]
             yield f"paper, {scenario}, {differentiator}, 1 kHz", outcomes, checks
 
 
+FIGURE_3_TIMES_S = (10, 20, 40, 80, 120)
+
+
+def _lever_errors(seed: int, regression: str) -> list[float]:
+    """Length of the lever arm's error at the corrections of the level phase [mm]."""
+    simulated = simulate_swing(SwingOptions(seed=seed, rate_hz=1000.0, duration_s=121.0))
+    config = make_config(simulated, {"method": "paper", "regression": regression}, 10.0)
+    assert config.position is not None
+    aligner = PaperAligner(config, config.position)
+    truth = np.asarray(simulated.truth.lever_arm_m)
+    errors = []
+    for second in range(max(FIGURE_3_TIMES_S)):
+        part = slice(1000 * second, 1000 * (second + 1) + 1)
+        aligner.update(ImuBlock(*simulated.imu.select(part)))
+        if second + 1 in FIGURE_3_TIMES_S:
+            errors.append(1e3 * float(np.linalg.norm(aligner.lever_arm.r_b - truth)))
+    return errors
+
+
+def paper_figure_3(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
+    """Fig. 3: the lever arm in the level phase, with (EPLS) and without (LS) misalignment."""
+    medians = {}
+    for regression in ("epls", "ls"):
+        runs = Parallel(n_jobs=2)(delayed(_lever_errors)(s, regression) for s in range(seeds))
+        medians[regression] = np.median(np.array(runs), axis=0)
+        text = " ".join(f"{v:10.3g}" for v in medians[regression])
+        print(f"  {regression:5s} median |error| at {FIGURE_3_TIMES_S} s: {text} mm")
+    ratio = float(medians["epls"][-1] / medians["ls"][-1])
+    yield "paper, Fig. 3", [], [upper("EPLS over LS at 120 s", ratio, 0.05)]
+
+
 def inertial_rigid(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
     """Method inertial on a rigid centre with the paper's noise: the Cramer-Rao bound."""
     cases = [("pitch", rate, 0.0) for rate in (1000.0, 200.0, 100.0)]
@@ -199,4 +232,11 @@ def inertial_cases(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
         yield f"inertial, {name}", outcomes, checks
 
 
-SECTIONS = (paper_tables, inertial_rigid, inertial_grades, inertial_nees, inertial_cases)
+SECTIONS = (
+    paper_tables,
+    paper_figure_3,
+    inertial_rigid,
+    inertial_grades,
+    inertial_nees,
+    inertial_cases,
+)

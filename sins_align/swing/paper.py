@@ -79,6 +79,11 @@ class PaperAligner:
         self._switch_due = False
         self._first_ns = self._stamp_ns = 0
 
+    @property
+    def lever_arm(self) -> LeverArm:
+        """The one in use: of the last correction of the levels, or of the fine alignment."""
+        return self._lever
+
     def _make_differentiator(self) -> Differentiator:
         paper = self._config.paper
         return make_differentiator(paper.differentiator, paper.eso_bandwidth)
