@@ -42,7 +42,7 @@ def all_usable(samples: ImuSamples) -> bool:
         # NaN is not <= anything.
         max(w.max(), -w.min()) <= MAX_RATE
         and max(f.max(), -f.min()) <= MAX_SPECIFIC_FORCE
-        and -MAX_STAMP_NS <= stamps.min()
+        and stamps.min() >= -MAX_STAMP_NS
         and stamps.max() <= MAX_STAMP_NS
     )
 

@@ -311,6 +311,15 @@ def test_slow_imus_work(method: str, rate_hz: float, sampling: str) -> None:
     assert session.estimate is not None
 
 
+def test_losses_do_not_make_an_imu_slow() -> None:
+    """10 Hz, and half of a second missing."""
+    samples = imu(rate_hz=10.0)
+    session, updates = run(samples.select(np.delete(np.arange(len(samples)), [101, 102, 104, 107])))
+    assert State.FAILED not in {u.status.state for u in updates}
+    assert session.estimate is not None
+    assert session.counts.imu_lost == 4
+
+
 def test_a_stream_whose_interval_changes() -> None:
     first, then = imu(), imu(rate_hz=50.0)
     at = int(first.stamp_ns[1500])
