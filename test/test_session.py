@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sins_align.config import SwingConfig, swing_config
 from sins_align.session import Session, Update, is_sound
 from sins_align.simulate import SwingOptions, simulate_swing
-from sins_align.types import Estimate, ImuBlock, ImuSamples, Position, State
+from sins_align.types import Estimate, ImuBlock, ImuSamples, ImuSampling, Position, State
 from sins_align.units import DEG
 
 SECOND = 1_000_000_000
@@ -106,9 +106,7 @@ def assert_add_up(session: Session, handed_over: int) -> None:
 @pytest.mark.parametrize("sampling", ["mean", "instantaneous"])
 def test_one_by_one_is_all_at_once(method: str, sampling: str) -> None:
     samples = imu(sampling=sampling, lost_fraction=0.03, stamp_jitter_s=1e-4)
-    settings_ = dataclasses.replace(
-        config_of(method), sampling=OPTIONS.imu_sampling.__class__(sampling)
-    )
+    settings_ = dataclasses.replace(config_of(method), sampling=ImuSampling(sampling))
     whole, expected = run(samples, settings_)
     single = Session(settings_)
     found = []
@@ -302,9 +300,7 @@ def test_hardly_any_samples_are_no_crash(rate_hz: float) -> None:
 @pytest.mark.parametrize("rate_hz", [10.0, 12.5, 20.0])
 @pytest.mark.parametrize("sampling", ["mean", "instantaneous"])
 def test_slow_imus_work(method: str, rate_hz: float, sampling: str) -> None:
-    settings_ = dataclasses.replace(
-        config_of(method), sampling=OPTIONS.imu_sampling.__class__(sampling)
-    )
+    settings_ = dataclasses.replace(config_of(method), sampling=ImuSampling(sampling))
     samples = imu(rate_hz=rate_hz, sampling=sampling, lost_fraction=0.02)
     session, _ = run(samples, settings_)
     assert session.status.state is not State.FAILED
