@@ -108,6 +108,7 @@ class InertialAligner:
             self._noise.calibration,
         )
         self._excitation = LeverExcitation(self._noise.gyro, self._noise.position)
+        self._lever_free = self._excitation.free_directions()
         self._epochs = Epochs()
         self._filter = TwoStageFilter(self._noise)
         self._filtered = 0  # epochs that the filter has taken in
@@ -153,6 +154,7 @@ class InertialAligner:
         count = max(1, round(duration / EPOCH_S))
         self._epochs.append(integrate_windows(whole, self._config.sampling, count))
         self._excitation.update(self._epochs)
+        self._lever_free = self._excitation.free_directions()
         if now > self._next_refresh_s - 0.5:
             later = [t for t in REFRESH_S if t > now + 0.5]
             self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
@@ -248,7 +250,7 @@ class InertialAligner:
         self._filtered = len(self._epochs)
 
     def _solver(self) -> Solver:
-        return Solver(self._prior, self._excitation.free_directions())
+        return Solver(self._prior, self._lever_free)
 
     def _is_coarse(self, solution: Solution) -> bool:
         """Whether heading is known well enough to be spoken of."""
@@ -305,8 +307,7 @@ class InertialAligner:
         )
 
     def _lever_arm(self, solution: Solution) -> LeverArm:
-        free = self._excitation.free_directions()
-        frozen = np.eye(3) - free @ free.T
+        frozen = np.eye(3) - self._lever_free @ self._lever_free.T
         covariance = solution.covariance[X_R, X_R]
         covariance = covariance + self._config.lever_arm_prior_sigma**2 * frozen
         x, y, z = (bool(share < 0.1) for share in frozen.diagonal())

@@ -46,9 +46,8 @@ _LINEAR = np.arange(3, 15)
 # A direction of the accelerometer bias is estimated where the data alone know it better
 # than the prior by this ratio of variances; elsewhere it is considered.
 ESTIMATE_RATIO = 2.0
-# After a step as small as this and a tenth of sigma, what a further one would change is of
-# second order in it.
-SMALL_STEP = 1e-3  # [rad]
+# Gauss-Newton has converged when what the step leaves, its square, is so much of sigma.
+CONVERGED = 0.01
 
 
 @dataclass(frozen=True)
@@ -181,7 +180,7 @@ class Solver:
             x[KAPPA] = 0.0
             current = Solution(exp_rotation(step[KAPPA]) @ current.R, x, covariance)
             sigma = np.sqrt(covariance.diagonal()[KAPPA])
-            if (np.abs(step[KAPPA]) < np.minimum(SMALL_STEP, 0.1 * sigma)).all():
+            if np.abs(step[KAPPA]).max() ** 2 < CONVERGED * sigma.min():
                 break
             N, gradient = self._reduced(normal, current)
         # A considered error c moves the estimate by Sigma N c.
