@@ -52,7 +52,8 @@ class Windows(NamedTuple):
     duration_s : (W,) lengths
     u, s : (W, 3) [m/s], [m]
     B, BB : (W, 3, 3) [s], [s^2]
-    q_end : (4, W) rotation of b at the end of the window to the axes of the block
+    C_end : (W, 3, 3) rotation of b at the end of the window to the axes of the block
+    q_end : (4,) the same at the end of the last window, as a quaternion
     """
 
     duration_s: Array
@@ -60,6 +61,7 @@ class Windows(NamedTuple):
     s: Array
     B: Array
     BB: Array
+    C_end: Array
     q_end: Array
 
 
@@ -298,7 +300,8 @@ def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Win
         sums[:, 9:] *= powers / step if sampling is ImuSampling.MEAN else powers
     B, BB = sums[:, :9].reshape(count, 3, 3, 2).transpose(3, 0, 1, 2)
     u, s = sums[:, 9:].transpose(2, 0, 1)
-    return Windows(np.diff(t[edges]), u, s, B, BB, q[:, edges[1:]])
+    C_end = C[:, :, edges[1:]].transpose(2, 0, 1)
+    return Windows(np.diff(t[edges]), u, s, B, BB, C_end, q[:, -1])
 
 
 @lru_cache(maxsize=64)

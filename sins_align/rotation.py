@@ -127,22 +127,21 @@ def quaternion_from_dcm(C: Array) -> Array:
 
     Shepperd's method: divides by the largest of the four.
     """
-    trace = C[0, 0] + C[1, 1] + C[2, 2]
-    squares = np.array([trace, C[0, 0], C[1, 1], C[2, 2]])
-    largest = int(np.argmax(squares))
-    q = np.empty(4)
-    if largest == 0:
+    c: list[list[float]] = C.tolist()
+    trace = c[0][0] + c[1][1] + c[2][2]
+    i = max(range(3), key=lambda axis: c[axis][axis])
+    q = [0.0, 0.0, 0.0, 0.0]
+    if trace >= c[i][i]:
         q[0] = 1.0 + trace
-        q[1:] = C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]
+        q[1:] = c[2][1] - c[1][2], c[0][2] - c[2][0], c[1][0] - c[0][1]
     else:
-        i = largest - 1
         j, k = (i + 1) % 3, (i + 2) % 3
-        q[0] = C[k, j] - C[j, k]
-        q[1 + i] = 1.0 + C[i, i] - C[j, j] - C[k, k]
-        q[1 + j] = C[i, j] + C[j, i]
-        q[1 + k] = C[i, k] + C[k, i]
-    q /= np.linalg.norm(q)
-    return q if q[0] >= 0.0 else -q
+        q[0] = c[k][j] - c[j][k]
+        q[1 + i] = 1.0 + c[i][i] - c[j][j] - c[k][k]
+        q[1 + j] = c[i][j] + c[j][i]
+        q[1 + k] = c[i][k] + c[k][i]
+    norm = math.copysign(math.hypot(*q), q[0])
+    return np.array(q) / norm
 
 
 def _band_of_increment() -> Array:

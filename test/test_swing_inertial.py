@@ -77,9 +77,10 @@ def test_heading_sigma_is_honest(rigid: list[Outcome]) -> None:
 def test_sigma_is_honest_for_real_sensors(grade: str, scenario: str) -> None:
     """On the cone the scale errors rectify: without them as unknowns fog has a NEES of 10."""
     options = replace(PITCH, grade=grade, scenario=scenario, duration_s=180.0)
-    outcomes = monte_carlo(options, {}, range(SEEDS))
+    runs = 2 * SEEDS
+    outcomes = monte_carlo(options, {}, range(runs))
     assert_honest_heading(outcomes)
-    low, high = chi2.ppf([0.0005, 0.9995], 3 * SEEDS) / (3 * SEEDS)
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * runs) / (3 * runs)
     assert low < np.mean([o.nees for o in outcomes]) / 3.0 < high
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from sins_align.increments import Windows
@@ -61,8 +63,7 @@ class Epochs:
         a["s"][old:new] = windows.s @ C0.T
         a["B"][old:new] = C0 @ windows.B
         a["BB"][old:new] = C0 @ windows.BB
-        q = multiply_quaternions(self._q[:, None], windows.q_end)
-        q /= np.sqrt((q * q).sum(axis=0))
-        a["C"][old + 1 : new + 1] = dcm_from_quaternion(q).transpose(2, 0, 1)
-        self._q = q[:, -1].copy()
+        a["C"][old + 1 : new + 1] = C0 @ windows.C_end
+        q = multiply_quaternions(self._q, windows.q_end)
+        self._q = q / math.sqrt(float(q @ q))
         self._size = new

@@ -3,7 +3,7 @@
 The two-stage filter (`two_stage`) turns the increments into sums, `solution` the sums into
 attitude, lever arm and biases. This module decides when which of them runs:
 
-- at the end of every cycle, which grow from 1 s to 10 s, the blocks since the last one are
+- at the end of every cycle, which grow from 1 s to 15 s, the blocks since the last one are
   integrated, the filter takes them in and the sums are solved, from the last solution on;
 - at the refresh times the filter runs over all stored increments again (backtracking),
   linearised about the solution found so far, until the attitude stays within 1 % of its
@@ -57,8 +57,8 @@ EPOCH_S = 0.5
 # Times at which the stored increments are run over again [s]; then every three times later.
 REFRESH_S = (5.0, 10.0, 20.0, 30.0)
 REFRESH_FACTOR = 3.0
-CYCLE_SHARE = 0.1  # of the time since the start
-MAX_CYCLE_S = 10.0
+CYCLE_SHARE = 0.15  # of the time since the start
+MAX_CYCLE_S = 15.0
 # The noise model needs no new linearisation where the attitude has moved by less, and the
 # lever arm too.
 SAME_ATTITUDE = 0.01  # [rad]

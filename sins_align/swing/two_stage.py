@@ -133,13 +133,25 @@ def model_force(
     start = max(first - 1, 0)
     d = epochs.C[start:] @ about.r_b
     t = epochs.time_s[start:]
-    # With fewer than three nodes the swing's share of F is not known yet.
-    v = np.gradient(d, t, axis=0, edge_order=2) if t.shape[0] > 2 else np.zeros_like(d)
+    v = _central_difference(d, t)
     d, v = d[first - start :], v[first - start :]
     T = epochs.duration_s[first:, None]
     u_m = v[1:] - v[:-1] - gravity[:, 0]
     s_m = d[1:] - d[:-1] - v[:-1] * T - gravity[:, 1]
     return u_m, s_m
+
+
+def _central_difference(d: Array, t: Array) -> Array:
+    """Time derivative of d (N, 3) at t (N,): over both neighbours, at the ends over two steps.
+
+    Zero where there are fewer than three nodes: the swing's share of F is not known yet.
+    """
+    v = np.zeros_like(d)
+    if t.shape[0] > 2:
+        slope = (d[1:] - d[:-1]) / (t[1:] - t[:-1])[:, None]
+        v[1:-1] = 0.5 * (slope[1:] + slope[:-1])
+        v[0], v[-1] = 1.5 * slope[0] - 0.5 * slope[1], 1.5 * slope[-1] - 0.5 * slope[-2]
+    return v
 
 
 def build_steps(
@@ -150,8 +162,8 @@ def build_steps(
     t = epochs.time_s[first:-1]
     K, n = T.shape[0], 12 if noise.drift > 0.0 else 9
     # Gravity is as good as linear within an epoch: exact moments of a linear function.
-    u_g = model.basis(t + T / 2.0) * T[:, None]
-    s_g = model.basis(t + T / 3.0) * (0.5 * T * T)[:, None]
+    basis = model.basis(np.concatenate((t + T / 2.0, t + T / 3.0)))
+    u_g, s_g = basis[:K] * T[:, None], basis[K:] * (0.5 * T * T)[:, None]
     gravity = np.stack((u_g, s_g), axis=1) @ about.R.T
     u_m, s_m = model_force(epochs, first, about, gravity)
     U, S = skew(u_m), skew(s_m)
