@@ -72,6 +72,7 @@ def test_every_setting_of_the_simulator_is_an_option() -> None:
         ([*SHORT, "--out", "OUT", "--grade", "gold"], "tactical"),
         ([*SHORT, "--out", "OUT", "--latitude-deg", "91"], "latitude_deg"),
         ([*SHORT, "--out", "OUT", "--seed", "1.5"], "seed"),
+        (["swing", "--rate", "1e5", "--duration", "1e6", "--out", "OUT"], "1e+11 samples"),
         ([*SHORT, "--out", "OUT", "--jitter", "0.5"], "stamp_jitter_s"),
         ([*SHORT, "--out", "OUT", "--storage", "tape"], "tape"),
         ([*SHORT, "--out", "."], "exists"),

@@ -80,14 +80,14 @@ def test_json_to_stdout_is_all_there_is(replay: Any, bag: Path) -> None:
     assert document["aligned"] is True
     assert document["stamp_ns"] == truth["stamp_ns"]
     assert document["input"]["imu_samples"] == 6001
-    assert set(document) == {
+    assert list(document) == [
         "schema", "node", "method", "aligned", "aligned_at_s", "state", "reason", "stamp_ns",
         "q_nb_wxyz", "roll_deg", "pitch_deg", "heading_deg", "misalignment_covariance_rad2",
         "sigma_arcmin", "heading_limit_arcmin", "gyro_bias_rad_s", "gyro_bias_sigma_rad_s",
         "accel_bias_m_s2", "accel_bias_sigma_m_s2", "lever_arm_m", "lever_arm_sigma_m",
         "lever_arm_observable", "odometer_scale_error", "odometer_scale_sigma",
         "mounting_rpy_deg", "consistency", "input", "timing",
-    }  # fmt: skip
+    ]  # fmt: skip
 
 
 def test_written_files(replay: Any, bag: Path, tmp_path: Path) -> None:
@@ -139,6 +139,7 @@ def test_parameter_file_and_overrides(replay: Any, bag: Path, tmp_path: Path) ->
     assert done == (0, "", "")
     done = replay("swing", bag, "--params", file, *EASY, "-p", "heading_threshold_arcmin:=0.1")
     assert done.status == 3
+    assert replay("swing", bag, "-p", "use_sim_time:=true", *HARD).status == 3
     shipped = ROOT / "config" / "swing_align.yaml"
     assert replay("swing", bag, "--params", shipped, *HARD).status == 3
 
@@ -195,6 +196,8 @@ def test_what_is_computed_is_shown_though_it_cannot_be_written(replay: Any, bag:
         (["swing", "BAG", "-p", "imu_grade:=gold"], "gold"),
         (["swing", "BAG", "--latitude-deg", "91"], "latitude_deg"),
         (["swing", "BAG", "--duration", "-1"], "-1"),
+        (["swing", "BAG", "--duration", "1e300"], "1e300"),
+        (["swing", "BAG", "--start", "soon"], "soon is not a time"),
         (["swing", "BAG", "--start", "1000"], "part asked for"),
         (["swing", "BAG", "--bag"], "--out"),
         (["swing", "BAG", "--truth", "/nonexistent.json"], "/nonexistent.json"),
@@ -233,13 +236,31 @@ def test_progress_bar_on_a_terminal_and_none_in_a_pipe(bag: Path) -> None:
     assert "replay" in shown and "%" in shown
 
 
-def test_a_reader_that_leaves_is_no_bug(bag: Path) -> None:
-    shell = f"{sys.executable} -m sins_align.ros.replay_command swing {bag} --json - | true"
+def test_a_reader_that_leaves_changes_nothing(bag: Path, tmp_path: Path) -> None:
+    command = f"{sys.executable} -m sins_align.ros.replay_command swing {bag} --out {tmp_path}"
+    shell = f"{{ {command} {' '.join(HARD)}; echo $? >&2; }} | true"
     done = subprocess.run(
         shell, shell=True, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
         capture_output=True, timeout=60, check=False,
     )  # fmt: skip
-    assert done.stderr == ""
+    assert done.stderr == "3\n"
+    assert (tmp_path / "report.html").exists()
+
+
+def test_devices_and_links_are_written_to_not_replaced(
+    replay: Any, bag: Path, tmp_path: Path
+) -> None:
+    pipe, link, target = tmp_path / "pipe", tmp_path / "link", tmp_path / "target"
+    os.mkfifo(pipe)
+    link.symlink_to(target)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    for path in (pipe, link):
+        assert replay("swing", bag, "--quiet", "--json", path, *HARD) == (3, "", "")
+    assert json.loads(os.read(reader, 100_000)) | {"timing": None} == json.loads(
+        target.read_text()
+    ) | {"timing": None}
+    os.close(reader)
+    assert pipe.is_fifo() and link.is_symlink()
 
 
 def test_no_ros_is_needed(bag: Path, tmp_path: Path) -> None:

@@ -23,22 +23,34 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(UNUSABLE)
 
 
+def say(text: str) -> None:
+    """Print; when the reader of our output has left, go on without one."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def error_text(error: BaseException) -> str:
+    """What went wrong as one line: of an OSError, which file and what."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def run_command(name: str, action: Callable[[], int]) -> int:
     """Run `action` and return its exit status.
 
-    A ValueError that the ROS side raises for unusable input (ConfigError, BagError) and an
-    OSError become one line on standard error and status 2.
+    A ValueError that the ROS side raises for unusable input (ConfigError, BagError), an
+    OSError and a lack of memory become one line on standard error and status 2.
     """
     from sins_align.grades import ConfigError
     from sins_align.ros.bags_merge import BagError
 
     try:
         return action()
-    except BrokenPipeError:  # the reader of our output has left; nobody to tell
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return UNUSABLE
-    except (ConfigError, BagError, OSError) as error:
-        print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    except (ConfigError, BagError, OSError, MemoryError) as error:
+        print(f"{name}: {error_text(error)}", file=sys.stderr)
         return UNUSABLE
     except KeyboardInterrupt:
         return 130

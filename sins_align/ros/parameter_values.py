@@ -12,8 +12,8 @@ _ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overri
 
 
 def is_ros_parameter(name: str) -> bool:
-    """True for the parameters that every ROS node has."""
-    return name.partition(".")[0] in _ROS_PARAMETERS
+    """True for the parameters that every ROS node has, also with `:=value` behind the name."""
+    return name.partition(":=")[0].partition(".")[0] in _ROS_PARAMETERS
 
 
 def read_values(node: str, file: Path | None, overrides: Iterable[str]) -> dict[str, object]:
@@ -24,5 +24,6 @@ def read_values(node: str, file: Path | None, overrides: Iterable[str]) -> dict[
     ConfigError : as `read_parameter_file` and `parse_override`
     """
     values = read_parameter_file(file, node) if file else {}
-    values.update(parse_override(text, node) for text in overrides)
-    return {name: value for name, value in values.items() if not is_ros_parameter(name)}
+    values = {name: value for name, value in values.items() if not is_ros_parameter(name)}
+    values.update(parse_override(text, node) for text in overrides if not is_ros_parameter(text))
+    return values

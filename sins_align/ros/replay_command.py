@@ -14,10 +14,11 @@ from typing import Any
 # Small matrices: threads cost more than they bring. It counts before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from sins_align.ros.command import ALIGNED, NOT_ALIGNED, Parser, run_command
+from sins_align.ros.command import ALIGNED, NOT_ALIGNED, Parser, run_command, say
 
 NAME = "align_replay"
 NODE = "swing_align"
+_MAX_SECONDS = 1e9  # in nanoseconds it must fit into 64 bits
 POSITION = ("latitude_deg", "longitude_deg", "altitude_m")
 
 EPILOG = """\
@@ -92,8 +93,11 @@ def _add_output_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _seconds(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < float("inf"):
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= _MAX_SECONDS:
         raise argparse.ArgumentTypeError(f"{text} is not a time >= 0 s")
     return value
 
@@ -138,7 +142,7 @@ def _replay_swing(options: argparse.Namespace, begin: float) -> int:
     if options.out:
         write_outcome(options.out, outcome, with_bag=options.bag)
         if not options.quiet and options.json != "-":
-            print(f"written to {options.out}")
+            say(f"written to {options.out}")
     return ALIGNED if document["aligned"] else NOT_ALIGNED
 
 

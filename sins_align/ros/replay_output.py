@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from sins_align.ros.command import say
 from sins_align.ros.replay import Replay
 from sins_align.ros.result import result_text, write_result
 from sins_align.ros.result_table import describe_result
@@ -34,10 +34,9 @@ class Outcome(NamedTuple):
 def print_outcome(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:
     """The result on standard output: result.json and nothing else, or a table, or nothing."""
     if as_json:
-        sys.stdout.write(result_text(outcome.document))
+        say(result_text(outcome.document).rstrip())
     elif not quiet:
-        print(describe_result(outcome.document, outcome.estimate, outcome.truth))
-    sys.stdout.flush()
+        say(describe_result(outcome.document, outcome.estimate, outcome.truth))
 
 
 def write_outcome(folder: Path, outcome: Outcome, *, with_bag: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -87,8 +88,7 @@ def result_document(
         "state": status.state.value,
         "reason": status.reason,
         "stamp_ns": counts.last_stamp_ns,
-        **_estimate_part(estimate),
-        "heading_limit_arcmin": _number(status.heading_limit / ARCMIN),
+        **_estimate_part(estimate, status.heading_limit),
         "input": _input_part(counts),
         "timing": {
             "wall_s": timing.wall_s,
@@ -101,17 +101,19 @@ def result_document(
     }
 
 
-def _estimate_part(estimate: Estimate | None) -> dict[str, Any]:
+def _estimate_part(estimate: Estimate | None, heading_limit: float) -> dict[str, Any]:
+    """The keys from the attitude on, in the order of the file; heading_limit [rad]."""
     part: dict[str, Any] = dict.fromkeys(
         (
             "q_nb_wxyz", "roll_deg", "pitch_deg", "heading_deg",
-            "misalignment_covariance_rad2", "sigma_arcmin",
+            "misalignment_covariance_rad2", "sigma_arcmin", "heading_limit_arcmin",
             "gyro_bias_rad_s", "gyro_bias_sigma_rad_s", "accel_bias_m_s2", "accel_bias_sigma_m_s2",
             "lever_arm_m", "lever_arm_sigma_m", "lever_arm_observable",
             "odometer_scale_error", "odometer_scale_sigma", "mounting_rpy_deg",
             "consistency",
         )
     )  # fmt: skip
+    part["heading_limit_arcmin"] = _number(heading_limit / ARCMIN)
     if estimate is None:
         return part
     roll, pitch, heading = (angle / DEG for angle in roll_pitch_heading(estimate.q_nb))
@@ -171,14 +173,24 @@ def result_text(document: dict[str, Any]) -> str:
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file whole or not at all: to a temporary name beside it, then renamed.
 
+    A device or a pipe is written to as it is, and of a link the file it leads to.
+
     Raises
     ------
-    OSError : the folder is missing or not writable, or the disk is full
+    OSError : the folder is missing or not writable, or the disk is full; names `path`
     """
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    except OSError as error:
+        if _is_stream(path):
+            with path.open("wb") as file:
+                write(file)
+        else:
+            _write_and_rename(Path(os.path.realpath(path)), write)
+    except OSError as error:  # of the temporary file, whose name says nothing to anybody
         raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def _write_and_rename(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     try:
         with os.fdopen(descriptor, "wb") as file:
             write(file)
@@ -191,6 +203,29 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     except BaseException:
         os.unlink(temporary)
         raise
+
+
+def _is_stream(path: Path) -> bool:
+    """True for what must not be replaced by a file: /dev/null, a terminal, a pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def check_target(path: Path) -> None:
+    """Find out before a long run whether `path` can be written.
+
+    Raises
+    ------
+    OSError : as `write_whole`
+    """
+    if _is_stream(path):
+        return
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
+            pass
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def write_text_whole(path: Path, text: str) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 # Small matrices: threads cost more than they bring. It counts before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from sins_align.ros.command import Parser, run_command
+from sins_align.ros.command import Parser, run_command, say
 from sins_align.ros.simulation_options import add_options, swing_options
 
 NAME = "align_simulate"
@@ -61,7 +61,7 @@ def _simulate_swing(options: argparse.Namespace) -> int:
     truth = options.out / "truth.json"
     write_text_whole(truth, json.dumps(run.truth.truth_dict(), indent=1) + "\n")
     if not options.quiet:
-        print(f"{options.out}: {len(run.imu)} samples, truth in {truth}")
+        say(f"{options.out}: {len(run.imu)} samples, truth in {truth}")
     return 0
 
 

@@ -12,6 +12,7 @@ from sins_align.parameters import NAN, Parameter
 from sins_align.simulate import SCENARIOS, SwingOptions
 
 _LIMIT = 1e9
+_MAX_SAMPLES = 50_000_000  # some gigabytes
 
 # Field of SwingOptions -> parameter of align_synth. Without its unit (_s) and with hyphens
 # the parameter's name is the option of align_simulate.
@@ -93,6 +94,9 @@ def swing_options(values: Mapping[str, Any]) -> SwingOptions:
         else:
             value = parameter.check(given)
         fields[field] = _none_if_unset(value)
+    samples = fields["rate_hz"] * fields["duration_s"]
+    if samples > _MAX_SAMPLES:
+        raise ConfigError(f"duration_s: {samples:g} samples, at most {_MAX_SAMPLES:g} are made")
     try:
         return SwingOptions(**fields)
     except ValueError as error:
