@@ -173,6 +173,8 @@ class Bag:
         report.read_s += time.perf_counter() - begin
         if portion:
             yield _hand_out(portion, report)
+        if decoder.frames_warning:
+            self.warnings.note(topic, decoder.frames_warning)
         if decoder.undecodable:
             self.warnings.note(topic, f"{decoder.undecodable} messages are not sensor_msgs/Imu")
         if not report.messages:

@@ -81,6 +81,15 @@ class ImuDecoder:
         self.frame_ids: set[str] = set()
         self._ros1 = ros1
 
+    @property
+    def frames_warning(self) -> str:
+        """What is odd about the frame_ids seen so far, '' if nothing."""
+        if len(self.frame_ids) < 2:
+            return ""
+        first, second, *more = sorted(self.frame_ids)
+        others = f" and {len(more)} more" if more else ""
+        return f"taken as one IMU, though its frame_ids are {first!r}, {second!r}{others}"
+
     def __call__(self, buffer: Bytes, offset: IntArray, size: IntArray, log_time: IntArray) -> Rows:
         """Rows of dtype `IMU_ROW`, in the order given."""
         count = len(offset)
