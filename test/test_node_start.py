@@ -49,6 +49,8 @@ def wait_until_up(observer: Observer) -> None:
         (SWING, "hold_s:=soon", ["hold_s", "soon"]),
         (SWING, "lever_arm_prior_m:=[1.0, 2.0]", ["lever_arm_prior_m", "3"]),
         (SWING, "holds_s:=3.0", ["holds_s", "unknown"]),
+        (SWING, "result_file:=/dev/null/result.json", ["/dev/null/result.json"]),
+        (SYNTH, "truth_file:=/dev/null/truth.json", ["/dev/null/truth.json"]),
         (SYNTH, "scenario:=storm", ["scenario", "storm", "still"]),
         (SYNTH, "jitter_s:=0.5", ["stamp_jitter_s"]),
     ],
@@ -60,6 +62,12 @@ def test_wrong_parameter_is_one_line_and_status_2(
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert all(word in line for word in words), line
+
+
+def test_an_unknown_argument_is_named() -> None:
+    done = run_module(SWING, "--ros-args", "--params", "x.yaml")
+    assert done.returncode == 2
+    assert "unknown arguments" in done.stderr and "--params" in done.stderr
 
 
 def test_a_missing_subscriber_is_one_line_and_status_1() -> None:

@@ -30,7 +30,7 @@ def diagnostic_status(
     Parameters
     ----------
     session : as it stands now
-    name : of the node
+    name : of the node, with its namespace
     silent_s : how long no usable IMU sample has come [s]; None: they do come
     estimate : of the session
     """

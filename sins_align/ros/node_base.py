@@ -26,10 +26,11 @@ from std_srvs.srv import Trigger
 from sins_align.parameters import parameters_of
 from sins_align.ros import messages
 from sins_align.ros.cdr import ImuDecoder, pack_payloads
+from sins_align.ros.command import error_text
 from sins_align.ros.diagnostics import diagnostic_status, key_values
 from sins_align.ros.node_parameters import declare_parameters
 from sins_align.ros.publish_grid import PublishGrid, find_sample
-from sins_align.ros.result import Timing, result_document, write_result
+from sins_align.ros.result import Timing, check_target, result_document, write_result
 from sins_align.session import Session
 from sins_align.types import Estimate, ImuSamples, State, Status
 
@@ -63,6 +64,7 @@ class AlignNode(Node):
     Raises
     ------
     ConfigError : a parameter that cannot be used; names the key
+    OSError : the result file could not be written; names it
     """
 
     def __init__(self, node_name: str, make_session: Callable[[dict[str, Any]], Session]) -> None:
@@ -72,11 +74,14 @@ class AlignNode(Node):
         self.executor_kind: str = values["executor"]
         self._nav_frame: str = values["nav_frame"]
         self._result_file: str = values["result_file"]
+        if self._result_file:  # known now, not when the alignment is done
+            check_target(Path(self._result_file))
         self.session = make_session(values)
         self._grid = PublishGrid(values["publish_rate_hz"])
         self._payloads: list[bytes] = []
         self._decoder = ImuDecoder()
         self._frame_id = ""
+        self._frames_warned = False
         self._published_ns = 0
         self._begun = time.monotonic()
         self._estimate_s = 0.0
@@ -162,8 +167,7 @@ class AlignNode(Node):
             np.ascontiguousarray(rows["w_ib_b"].T),
             np.ascontiguousarray(rows["f_ib_b"].T),
         )
-        if not self._frame_id and self._decoder.frame_ids:
-            self._frame_id = min(self._decoder.frame_ids)
+        self._look_at_frames()
         begin = time.perf_counter()
         updates = self.session.add_imu(samples)
         self._estimate_s += time.perf_counter() - begin
@@ -175,6 +179,15 @@ class AlignNode(Node):
         self.send(self._processed, messages.time_message(int(samples.stamp_ns[-1])))
         return samples
 
+    def _look_at_frames(self) -> None:
+        """Take the first frame_id that there is, and warn of a second one."""
+        frames = self._decoder.frame_ids
+        if not self._frame_id and frames:
+            self._frame_id = min(frames)
+        if len(frames) > 1 and not self._frames_warned:
+            self._frames_warned = True
+            self.get_logger().warning(f"topic imu: {self._decoder.frames_warning}")
+
     def _announce(self, status: Status) -> None:
         """Log a change of state, and publish one of `aligned`."""
         restarts = self.session.restarts
@@ -184,7 +197,11 @@ class AlignNode(Node):
             self.get_logger().warning(f"the alignment began anew: {self.session.begin_reason}")
         if status.state is not self._logged_state:
             self._logged_state = status.state
-            self.get_logger().info(": ".join(filter(None, (status.state.value, status.reason))))
+            text = ": ".join(filter(None, (status.state.value, status.reason)))
+            if status.state is State.FAILED:
+                self.get_logger().error(text)
+            else:
+                self.get_logger().info(text)
         aligned = status.state is State.ALIGNED
         if aligned != self._aligned:
             self._aligned = aligned
@@ -241,7 +258,7 @@ class AlignNode(Node):
         try:
             write_result(Path(self._result_file), document)
         except OSError as error:
-            problem = f"result_file {self._result_file} could not be written: {error}"
+            problem = f"result_file could not be written: {error_text(error)}"
             self.get_logger().error(problem)
             return problem
         return ""
@@ -263,7 +280,8 @@ class AlignNode(Node):
     def _publish_diagnostics(self) -> None:
         self._flush()
         estimate = self.session.estimate
-        status = diagnostic_status(self.session, self.get_name(), self._silent_s(), estimate)
+        name = self.get_fully_qualified_name().lstrip("/")  # two nodes may differ in no more
+        status = diagnostic_status(self.session, name, self._silent_s(), estimate)
         status.values += key_values(self.diagnostic_texts(estimate))
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -10,12 +10,18 @@ from typing import TypeVar
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 
 from sins_align.grades import ConfigError
+from sins_align.ros.command import error_text
 from sins_align.ros.node_base import AlignNode, RCLError
 
 N = TypeVar("N", bound=Node)
+
+_UNUSABLE = (
+    ConfigError, ParameterException, RCLError, RuntimeError, ValueError, OSError, MemoryError
+)  # fmt: skip
 
 
 def run_node(
@@ -37,7 +43,7 @@ def run_node(
     try:
         rclpy.init(args=None if args is None else list(args))
         node = make_node()
-    except (ConfigError, ParameterException, RCLError, RuntimeError, ValueError) as error:
+    except _UNUSABLE as error:
         rclpy.try_shutdown()
         return _fail(name, error, 2)
     try:
@@ -64,7 +70,10 @@ def spin_aligner(node: AlignNode) -> None:
 
 
 def _fail(name: str, error: Exception, status: int) -> int:
-    print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    text = error_text(error)
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):  # the words, and no more
+        text = f"unknown arguments after --ros-args: {text}"
+    print(f"{name}: {text}", file=sys.stderr)
     return status
 
 
