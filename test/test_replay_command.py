@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import fcntl
 import json
+import math
 import os
 import pty
+import re
 import select
 import shutil
 import struct
@@ -69,6 +71,11 @@ def test_truth_is_printed_beside_the_result(replay: Any, bag: Path) -> None:
     done = replay("swing", bag, "--truth", bag / "truth.json", *EASY)
     heading = next(line for line in done.out.splitlines() if line.startswith("heading "))
     assert abs(float(heading.split()[-1])) < 4.0
+    bias = next(line for line in done.out.splitlines() if line.startswith("gyro bias z"))
+    truth = json.loads((bag / "truth.json").read_text())
+    deg_h = math.degrees(truth["gyro_bias_rad_s"][2]) * 3600.0
+    assert float(bias.split()[7]) == pytest.approx(deg_h, abs=1e-5)
+    assert "-0.0 " not in done.out
     cut = replay("swing", bag, "--truth", bag / "truth.json", "--duration", 40)
     assert "that of another time" in cut.out
 
@@ -116,6 +123,27 @@ def test_written_files(replay: Any, bag: Path, tmp_path: Path) -> None:
     assert stamp.sec * 10**9 + stamp.nanosec == document["stamp_ns"]
     position = levers[-1].pose.pose.position
     assert [position.x, position.y, position.z] == pytest.approx(document["lever_arm_m"], abs=1e-2)
+
+
+def test_an_unobservable_lever_arm_is_no_number(replay: Any, tmp_path: Path) -> None:
+    words = ["swing", "--scenario", "still", "--rate", "50", "--duration", "40", "--quiet"]
+    assert simulate_command.main([*words, "--out", str(tmp_path / "bag")]) == 0
+    done = replay("swing", tmp_path / "bag", "--out", tmp_path / "out")
+    assert done.out.count(" unobservable\n") == 3
+    row = list(csv.DictReader((tmp_path / "out" / "estimates.csv").open()))[-1]
+    assert (row["lever_x_m"], row["lever_x_sigma_m"]) == ("", "")
+    assert row["heading_deg"] != ""
+    assert (tmp_path / "out" / "report.html").read_text().count("<svg") == 3
+
+
+def test_charts_show_the_swing_and_not_the_updates(replay: Any, bag: Path, tmp_path: Path) -> None:
+    """Estimates are made anew every few seconds: a line through them is no picture of a swing."""
+    replay("swing", bag, "--out", tmp_path, "--quiet", *HARD)
+    report = (tmp_path / "report.html").read_text()
+    heading = report.partition("Heading [deg]")[2].partition("</svg>")[0]
+    (line,) = re.findall(r'<path d="([^"]*)" fill="none"', heading)
+    assert len(re.findall("[ML]", line)) >= 40
+    assert line.count("M") == 1
 
 
 def test_recording_the_attitude_changes_no_number(replay: Any, bag: Path, tmp_path: Path) -> None:

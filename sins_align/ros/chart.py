@@ -11,10 +11,11 @@ import numpy as np
 
 from sins_align.types import Array
 
-COLOURS = ("#1f5fa8", "#c25a00", "#2b8a3e", "#888888")
+COLOURS = ("#1f5fa8", "#c25a00", "#2b8a3e", "#888888", "#a0307a")
 WIDTH, HEIGHT = 480, 260
 LEFT, RIGHT, TOP, BOTTOM = 68, 12, 46, 34
-MAX_POINTS = 1000  # more than there are pixels
+LEGEND_STEP = 76
+MIN_SPAN = 1e-4  # of a vertical axis: closer numbers would not fit beside it
 
 
 Mapping = Callable[[Any], Any]  # numbers or arrays of them, to pixels
@@ -28,20 +29,23 @@ class Series(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """Lines over a common time."""
+    """Lines over a common time.
+
+    modulus : what the numbers at the vertical axis start again at, 0: nothing
+    """
 
     title: str
     series: tuple[Series, ...]
     logarithmic: bool = False
+    modulus: float = 0.0
 
 
 def chart_svg(chart: Chart, time_s: Array) -> str:
-    """The chart as an SVG element; `time_s` has two elements or more."""
-    step = max(1, len(time_s) // MAX_POINTS)
-    time_s = time_s[::step]
-    lines = [_scaled(series.values[::step], chart.logarithmic) for series in chart.series]
+    """The chart as an SVG element; `time_s` begins at 0 or later and ends later."""
+    lines = [_scaled(series.values, chart.logarithmic) for series in chart.series]
     low, high = _limits(np.concatenate(lines), chart.logarithmic)
-    x_of = _mapping(float(time_s[0]), float(time_s[-1]), LEFT, WIDTH - RIGHT)
+    end = float(time_s.max())
+    x_of = _mapping(0.0, end, LEFT, WIDTH - RIGHT)
     y_of = _mapping(low, high, HEIGHT - BOTTOM, TOP)
     parts = [
         (
@@ -50,11 +54,12 @@ def chart_svg(chart: Chart, time_s: Array) -> str:
             f"{html.escape(chart.title)}</text>"
         )
     ]
-    parts += _grid(x_of, y_of, (float(time_s[0]), float(time_s[-1])), (low, high), chart)
+    parts += _grid(x_of, y_of, (0.0, end), (low, high), chart)
     for k, (series, line) in enumerate(zip(chart.series, lines, strict=True)):
         colour = COLOURS[k % len(COLOURS)]
+        name = html.escape(series.name)
         parts.append(
-            f'<text x="{LEFT + 90 * k}" y="34" fill="{colour}">{html.escape(series.name)}</text>'
+            f'<text x="{LEFT + LEGEND_STEP * k}" y="34" fill="{colour}">{name}</text>'
             f'<path d="{_path(x_of(time_s), y_of(line))}" fill="none" stroke="{colour}"'
             ' stroke-width="1.5"/>'
         )
@@ -87,7 +92,7 @@ def _limits(values: Array, logarithmic: bool) -> tuple[float, float]:
     if logarithmic:
         low, high = math.floor(low), math.ceil(high)
         return (low, high) if low < high else (low, low + 1.0)
-    margin = max(0.05 * (high - low), 1e-9 * max(abs(low), abs(high), 1e-3))
+    margin = max(0.05 * (high - low), 0.5 * MIN_SPAN)
     return low - margin, high + margin
 
 
@@ -109,7 +114,10 @@ def _grid(
     digits = max(0, -math.floor(math.log10(levels[1] - levels[0]))) if len(levels) > 1 else 3
     for level in levels:
         y = float(y_of(level))
-        text = f"{10.0**level:g}" if chart.logarithmic else f"{level:.{digits}f}"
+        number = 10.0**level if chart.logarithmic else round(level, digits) + 0.0
+        if chart.modulus:
+            number %= chart.modulus
+        text = f"{number:g}" if chart.logarithmic else f"{number:.{digits}f}"
         parts.append(
             f'<path d="M{LEFT} {y:.1f}H{right}" stroke="#ddd"/>'
             f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{text}</text>'

@@ -108,7 +108,7 @@ def _replay_swing(options: argparse.Namespace, begin: float) -> int:
     from sins_align.ros.bags import open_bag
     from sins_align.ros.parameter_values import read_values
     from sins_align.ros.replay import open_session, run_replay
-    from sins_align.ros.replay_output import Outcome, print_outcome, write_outcome
+    from sins_align.ros.replay_output import CHART_RATE_HZ, Outcome, print_outcome, write_outcome
     from sins_align.ros.result import Timing, result_document, write_result
     from sins_align.ros.truth import read_truth
 
@@ -119,7 +119,9 @@ def _replay_swing(options: argparse.Namespace, begin: float) -> int:
     truth = read_truth(options.truth) if options.truth else None
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)  # a bad one is known before the work
-    rate: Any = check_values(NODE, values)["publish_rate_hz"] if options.bag else None
+    rate: Any = CHART_RATE_HZ if options.out else None
+    if options.bag:
+        rate = check_values(NODE, values)["publish_rate_hz"]
     with open_bag(options.bags) as bag, _progress(options.quiet) as progress:
         replay = run_replay(
             bag, open_session(config, bag, options.fix_topic), options.imu_topic,

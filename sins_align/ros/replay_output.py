@@ -12,6 +12,8 @@ from sins_align.ros.result_table import describe_result
 from sins_align.ros.truth import Truth
 from sins_align.types import Estimate
 
+CHART_RATE_HZ = 1.0  # shows a swing, and takes a fifth of a second for seven minutes
+
 
 class Outcome(NamedTuple):
     """A replay that is done.
@@ -48,12 +50,10 @@ def write_outcome(folder: Path, outcome: Outcome, *, with_bag: bool) -> None:
     """
     from sins_align.ros.report import write_estimates, write_report
 
-    document, updates = outcome.document, outcome.replay.updates
+    document = outcome.document
     write_result(folder / "result.json", document)
-    write_estimates(folder / "estimates.csv", updates)
-    write_report(
-        folder / "report.html", outcome.title, updates, document, outcome.estimate, outcome.truth
-    )
+    write_estimates(folder / "estimates.csv", outcome.replay.updates)
+    write_report(folder / "report.html", outcome)
     if with_bag:
         from sins_align.ros.attitude_bag import write_attitude_bag
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,12 +15,18 @@ from sins_align.ros.result import (
     roll_pitch_heading_sigma,
     write_text_whole,
 )
-from sins_align.ros.result_table import HEAD, footer, outcome, result_rows
+from sins_align.ros.result_table import HEAD, footer, result_rows, verdict
 from sins_align.ros.truth import Truth
 from sins_align.session import Update
 from sins_align.types import Array, Estimate
 from sins_align.units import ARCMIN, DEG
 
+if TYPE_CHECKING:
+    from sins_align.ros.replay import Replay
+    from sins_align.ros.replay_output import Outcome
+
+_ANGLES = ("roll", "pitch", "heading")
+_MAX_POINTS = 1000  # of a line: more than there are pixels
 _XYZ = ("x", "y", "z")
 COLUMNS = (
     "stamp_ns", "elapsed_s", "state",
@@ -53,6 +59,7 @@ def estimate_numbers(estimate: Estimate | None) -> Array:
     lever = np.full(6, np.nan)
     if lever_arm is not None:
         lever = np.concatenate((lever_arm.r_b, np.sqrt(np.diag(lever_arm.covariance))))
+        lever[~np.tile(lever_arm.observable, 2)] = np.nan
     return np.concatenate(
         (
             np.array(roll_pitch_heading(estimate.q_nb)) / DEG,
@@ -76,26 +83,20 @@ def write_estimates(path: Path, updates: Sequence[Update]) -> None:
     write_text_whole(path, "\n".join(lines) + "\n")
 
 
-def write_report(
-    path: Path,
-    title: str,
-    updates: Sequence[Update],
-    document: dict[str, Any],
-    estimate: Estimate | None,
-    truth: Truth | None,
-) -> None:
+def write_report(path: Path, outcome: Outcome) -> None:
     """One file that needs nothing else: table and charts. OSError as `write_whole`."""
+    document = outcome.document
+    title = html.escape(outcome.title)
     good = "good" if document["aligned"] else "bad"
     node, method = document["node"], document["method"]
     parts = [
         '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body>",
-        f"<h1>{html.escape(title)}</h1>",
-        f'<p>{node}, method {method}: <b class="{good}">{html.escape(outcome(document))}</b></p>',
+        f"<title>{title}</title><style>{_STYLE}</style></head><body><h1>{title}</h1>",
+        f'<p>{node}, method {method}: <b class="{good}">{html.escape(verdict(document))}</b></p>',
     ]
-    if estimate is not None:
-        parts.append(_table(estimate, truth))
-    parts.append(f'<div class="charts">{"".join(_charts(updates, document))}</div>')
+    if outcome.estimate is not None:
+        parts.append(_table(outcome.estimate, outcome.truth))
+    parts.append(f'<div class="charts">{"".join(_charts(outcome))}</div>')
     lines = "<br>".join(map(html.escape, footer(document)))
     parts.append(f"<footer>{lines}</footer></body></html>\n")
     write_text_whole(path, "\n".join(parts))
@@ -114,32 +115,47 @@ def _table(estimate: Estimate, truth: Truth | None) -> str:
     return f"<table><tr>{'</tr><tr>'.join(cells)}</tr></table>"
 
 
-def _charts(updates: Sequence[Update], document: dict[str, Any]) -> list[str]:
+def _charts(outcome: Outcome) -> list[str]:
     """The charts over time, from the first attitude on."""
-    used = [update for update in updates if update.estimate is not None]
-    if len(used) < 2:
+    time, values = _history(outcome.replay)
+    if len(time) < 2:
         return []
-    time = np.array([update.status.elapsed_s for update in used])
-    values = np.array([estimate_numbers(update.estimate) for update in used]).T
-    values[2] = np.rad2deg(np.unwrap(np.deg2rad(values[2])))
-    limit = document["heading_limit_arcmin"]
-    bound = Series("limit", np.full_like(time, limit)) if limit else None
+    document = outcome.document
+    threshold = outcome.replay.session.config.completion.heading_threshold / ARCMIN
+    bounds = [("limit", document["heading_limit_arcmin"]), ("threshold", threshold)]
+    roll, pitch, heading = (Series(name, values[3 + k]) for k, name in enumerate(_ANGLES))
     charts = [
-        Chart("Heading [deg]", (Series("heading", values[2]),)),
+        Chart("Heading [deg]", (Series("heading", values[2]),), modulus=360.0),
         Chart(
             "1 sigma [arcmin]",
             (
-                *(Series(name, values[3 + k]) for k, name in enumerate(("roll", "pitch"))),
-                Series("heading", values[5]),
-                *([bound] if bound else []),
+                roll, pitch, heading,
+                *(Series(name, np.full_like(time, bound)) for name, bound in bounds if bound),
             ),
             logarithmic=True,
         ),
         Chart("Levels [deg]", (Series("roll", values[0]), Series("pitch", values[1]))),
-    ]
+    ]  # fmt: skip
     if np.isfinite(values[6:9]).any():
         lever = tuple(Series(axis, values[6 + k]) for k, axis in enumerate(_XYZ))
         sigma = tuple(Series(axis, values[9 + k]) for k, axis in enumerate(_XYZ))
         charts.append(Chart("Lever arm [m]", lever))
         charts.append(Chart("Lever arm, 1 sigma [m]", sigma, logarithmic=True))
     return [chart_svg(chart, time) for chart in charts]
+
+
+def _history(replay: Replay) -> tuple[Array, Array]:
+    """Time since the first sample (N,) [s], and `estimate_numbers` (_NUMBERS, N).
+
+    Heading is unwrapped; where the alignment began anew a column of NaN parts the lines.
+    """
+    records = replay.records[:: 1 + len(replay.records) // _MAX_POINTS]
+    begin = replay.session.counts.first_stamp_ns
+    if len(records) < 2 or begin is None:
+        return np.empty(0), np.empty((_NUMBERS, 0))
+    time = np.array([record.estimate.stamp_ns - begin for record in records]) * 1e-9
+    values = np.array([estimate_numbers(record.estimate) for record in records]).T
+    values[2] = np.rad2deg(np.unwrap(np.deg2rad(values[2])))
+    steps = np.diff(time)
+    breaks = np.flatnonzero((steps <= 0.0) | (steps > 3.0 * np.median(steps))) + 1
+    return np.insert(time, breaks, time[breaks]), np.insert(values, breaks, np.nan, axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from sins_align.types import Array, Estimate
 from sins_align.units import ARCMIN, DEG, DEG_PER_H, MICRO_G
 
 HEAD = ("", "estimate", "1 sigma", "truth", "error", "error/sigma")
+_CONVENTIONS = "pitch positive nose down, heading clockwise from north, x forward, y left, z up"
 _UNOBSERVABLE = "unobservable"
 
 
@@ -31,13 +32,20 @@ class Row(NamedTuple):
 def result_rows(estimate: Estimate, truth: Truth | None) -> list[Row]:
     """One row each for roll, pitch, heading, lever arm and biases."""
     rows = list(_attitude_rows(estimate, truth))
-    rows += _lever_arm_rows(estimate, truth)
+    lever_arm = estimate.lever_arm
+    if lever_arm is not None:
+        rows += _vector_rows(
+            "lever arm", "m", lever_arm.r_b, np.sqrt(np.diag(lever_arm.covariance)),
+            None if truth is None else truth.lever_arm, lever_arm.observable,
+        )  # fmt: skip
     rows += _vector_rows(
-        "gyro bias", "deg/h", estimate.gyro_bias / DEG_PER_H, estimate.gyro_bias_sigma / DEG_PER_H
-    )
+        "gyro bias", "deg/h", estimate.gyro_bias / DEG_PER_H, estimate.gyro_bias_sigma / DEG_PER_H,
+        None if truth is None or truth.gyro_bias is None else truth.gyro_bias / DEG_PER_H,
+    )  # fmt: skip
     rows += _vector_rows(
-        "accel bias", "ug", estimate.accel_bias / MICRO_G, estimate.accel_bias_sigma / MICRO_G
-    )
+        "accel bias", "µg", estimate.accel_bias / MICRO_G, estimate.accel_bias_sigma / MICRO_G,
+        None if truth is None or truth.accel_bias is None else truth.accel_bias / MICRO_G,
+    )  # fmt: skip
     return rows
 
 
@@ -46,48 +54,70 @@ def _attitude_rows(estimate: Estimate, truth: Truth | None) -> Iterator[Row]:
     sigmas = roll_pitch_heading_sigma(estimate)
     known = truth is not None and truth.is_at(estimate.stamp_ns)
     true = roll_pitch_heading(truth.q_nb) if truth is not None and known else (None,) * 3
+    in_deg = max(_decimals(sigmas / DEG), 5)
+    in_arcmin = max(_decimals(sigmas / ARCMIN), 4)
     for k, name in enumerate(("roll", "pitch", "heading")):
         sigma = float(sigmas[k])
-        row = Row(name, f"{angles[k] / DEG:.5f} deg", f"{sigma / ARCMIN:.4f}'")
+        row = Row(
+            name,
+            f"{_fixed(angles[k] / DEG, in_deg)} deg",
+            f"{_fixed(sigma / ARCMIN, in_arcmin)}'",
+        )
         true_angle = true[k]
         if true_angle is not None:
             error = math.remainder(angles[k] - true_angle, 2.0 * math.pi)
             row = row._replace(
-                truth=f"{true_angle / DEG:.5f} deg",
-                error=f"{error / ARCMIN:+.4f}'",
+                truth=f"{_fixed(true_angle / DEG, in_deg)} deg",
+                error=f"{_fixed(error / ARCMIN, in_arcmin, '+')}'",
                 ratio=_ratio(error, sigma),
             )
         yield row
 
 
-def _lever_arm_rows(estimate: Estimate, truth: Truth | None) -> Iterator[Row]:
-    lever_arm = estimate.lever_arm
-    if lever_arm is None:
-        return
+def _vector_rows(
+    name: str,
+    unit: str,
+    values: Array,
+    sigmas: Array,
+    true: Array | None,
+    observable: Sequence[bool] = (True, True, True),
+) -> Iterator[Row]:
+    """One row an axis, in `unit`; an axis that is not observable has no estimate."""
+    decimals = _decimals(sigmas[list(observable)])
     for k, axis in enumerate("xyz"):
-        value, sigma = float(lever_arm.r_b[k]), math.sqrt(lever_arm.covariance[k, k])
-        row = Row(f"lever arm {axis}", f"{value:.6f} m", f"{sigma:.6f} m")
-        if not lever_arm.observable[k]:
-            row = Row(f"lever arm {axis}", _UNOBSERVABLE, "")
-        if truth is not None and truth.lever_arm is not None:
-            true = float(truth.lever_arm[k])
-            row = row._replace(truth=f"{true:.6f} m")
-            if lever_arm.observable[k]:
-                error = value - true
-                row = row._replace(error=f"{error:+.6f} m", ratio=_ratio(error, sigma))
+        value, sigma = float(values[k]), float(sigmas[k])
+        row = Row(f"{name} {axis}", _UNOBSERVABLE, "")
+        if observable[k]:
+            row = row._replace(
+                estimate=f"{_fixed(value, decimals)} {unit}",
+                sigma=f"{_fixed(sigma, decimals)} {unit}",
+            )
+        if true is not None:
+            error = value - float(true[k])
+            row = row._replace(truth=f"{_fixed(float(true[k]), decimals)} {unit}")
+            if observable[k]:
+                row = row._replace(
+                    error=f"{_fixed(error, decimals, '+')} {unit}", ratio=_ratio(error, sigma)
+                )
         yield row
 
 
-def _vector_rows(name: str, unit: str, values: Array, sigmas: Array) -> Iterator[Row]:
-    for axis, value, sigma in zip("xyz", values.tolist(), sigmas.tolist(), strict=True):
-        yield Row(f"{name} {axis}", f"{value:.5g} {unit}", f"{sigma:.3g} {unit}")
+def _decimals(sigmas: Array) -> int:
+    """Decimals that show the smallest 1 sigma with three digits; 6 where there is none."""
+    known = sigmas[sigmas > 0.0]
+    return min(max(2 - math.floor(math.log10(known.min())), 0), 9) if known.size else 6
+
+
+def _fixed(value: float, decimals: int, sign: str = "") -> str:
+    """Plain decimal text; no minus before what is rounded to zero."""
+    return f"{round(value, decimals) + 0.0:{sign}.{decimals}f}"
 
 
 def _ratio(error: float, sigma: float) -> str:
-    return f"{error / sigma:+.2f}" if sigma > 0.0 else ""
+    return _fixed(error / sigma, 2, "+") if sigma > 0.0 else ""
 
 
-def outcome(document: dict[str, Any]) -> str:
+def verdict(document: dict[str, Any]) -> str:
     """One line: aligned when, or not and why."""
     if document["aligned"]:
         return f"aligned after {document['aligned_at_s']:.1f} s"
@@ -98,13 +128,19 @@ def footer(document: dict[str, Any]) -> list[str]:
     """Lines on how far the result can be trusted, what went in and how long it took."""
     counts, timing = document["input"], document["timing"]
     lines = []
+    if document["q_nb_wxyz"] is not None:
+        seconds, nanoseconds = divmod(document["stamp_ns"], 1_000_000_000)
+        lines += [_CONVENTIONS, f"attitude at stamp {seconds}.{nanoseconds:09d}"]
     if document["heading_limit_arcmin"] is not None:
         lines.append(
             "heading limit of the declared gyro at this latitude"
             f" {document['heading_limit_arcmin']:.4f}'"
         )
     if document["consistency"] is not None:
-        lines.append(f"consistency of the innovations {document['consistency']:.3f} (1 is perfect)")
+        lines.append(
+            f"consistency of the innovations {document['consistency']:.3f}"
+            " (1: as noisy as declared; below: less)"
+        )
     lines.append(
         f"{counts['imu_samples']} samples over {counts['duration_s']:.3f} s,"
         f" {counts['imu_rejected']} rejected, {counts['imu_gaps']} gaps"
@@ -124,7 +160,7 @@ def describe_result(
     document : the content of result.json
     estimate : what it was made from
     """
-    lines = [f"{document['node']}, method {document['method']}: {outcome(document)}"]
+    lines = [f"{document['node']}, method {document['method']}: {verdict(document)}"]
     if estimate is not None:
         rows = result_rows(estimate, truth)
         table = [HEAD, *rows] if truth else [HEAD[:3], *(row[:3] for row in rows)]

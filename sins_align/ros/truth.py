@@ -12,15 +12,21 @@ import numpy as np
 from sins_align.grades import ConfigError
 from sins_align.types import Array
 
+_VECTORS = ("lever_arm_m", "gyro_bias_rad_s", "accel_bias_m_s2")
 _SAME_TIME_NS = 1_000  # what a swing turns in a microsecond is below all that is printed
 
 
 class Truth(NamedTuple):
-    """Attitude (4,) at a time [ns], and the lever arm (3,) [m] where there is one."""
+    """Attitude (4,) at a time [ns] and, where known, three vectors (3,) in body axes.
+
+    lever_arm [m], gyro_bias [rad/s], accel_bias [m/s^2]: None where not known
+    """
 
     stamp_ns: int
     q_nb: Array
-    lever_arm: Array | None
+    lever_arm: Array | None = None
+    gyro_bias: Array | None = None
+    accel_bias: Array | None = None
 
     def is_at(self, stamp_ns: int) -> bool:
         """True where the attitude is that of `stamp_ns`."""
@@ -38,13 +44,15 @@ def read_truth(path: Path) -> Truth:
         document = json.loads(path.read_text(encoding="utf-8"))
         q_nb = np.array(document["q_nb_wxyz"], dtype=float)
         stamp_ns = int(document["stamp_ns"])
-        given = document.get("lever_arm_m")
-        lever_arm = None if given is None else np.array(given, dtype=float)
+        given = [document.get(key) for key in _VECTORS]
+        vectors = [None if value is None else np.array(value, dtype=float) for value in given]
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError):
         raise ConfigError(f"{path}: not a truth file (truth.json of align_simulate)") from None
-    right = q_nb.shape == (4,) and (lever_arm is None or lever_arm.shape == (3,))
-    if not right or not math.isclose(float(q_nb @ q_nb), 1.0, abs_tol=1e-6):
+    if q_nb.shape != (4,) or not math.isclose(float(q_nb @ q_nb), 1.0, abs_tol=1e-6):
         raise ConfigError(f"{path}: not a truth file (q_nb_wxyz is no unit quaternion)")
-    return Truth(stamp_ns, q_nb, lever_arm)
+    for key, vector in zip(_VECTORS, vectors, strict=True):
+        if vector is not None and (vector.shape != (3,) or not np.isfinite(vector).all()):
+            raise ConfigError(f"{path}: not a truth file ({key} is not three numbers)")
+    return Truth(stamp_ns, q_nb, *vectors)
