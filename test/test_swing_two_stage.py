@@ -52,7 +52,7 @@ class Swing:
         w0 = run.imu.w_ib_b[:, 0]
         self.theta[V0], self.theta[LEVER] = np.cross(w0, self.r_b), self.r_b
         self.epochs = self._epochs(self.block)
-        about = Linearisation(self.R, self.r_b, self.theta)
+        about = Linearisation(self.R, self.r_b)
         self.steps = build_steps(self.epochs, 0, about, GRAVITY, NOISE)
 
     @staticmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,18 @@ STRONG_SWING = 5e-3  # [rad/s^2]
 # ... and below only where it can be known so well that the estimate mends more than its noise
 # spoils: a parked vehicle in the wind would fit half a metre of noise.
 USEFUL_SIGMA = 0.05  # [m]
+
+
+class LeverDirections(NamedTuple):
+    """Orthonormal directions in b, (3, m) each. Of the others the data know nothing at all.
+
+    free : estimated
+    considered : the motion is too weak to tell the lever arm, but not too weak for a lever arm
+        to disturb: it stays at its prior, and its share of the error is in the covariance
+    """
+
+    free: Array
+    considered: Array
 
 
 class LeverExcitation:
@@ -51,14 +64,14 @@ class LeverExcitation:
         self._position_sum += float((6.0 * self._position_noise**2 * T**-4).sum())
         self._count += T.shape[0]
 
-    def free_directions(self) -> Array:
-        """(3, m) orthonormal directions in b whose lever arm is to be estimated."""
+    def directions(self) -> LeverDirections:
+        """Which directions in b are estimated, and which have to be considered."""
         if self._count == 0:
-            return np.zeros((3, 0))
+            return LeverDirections(np.zeros((3, 0)), np.zeros((3, 0)))
         squares, vectors = np.linalg.eigh(self._sum)
         motion = squares > GYRO_NOISE_RATIO**2 * self._gyro_sum
         strong = squares > STRONG_SWING**2 * self._count
         # sigma_r of least squares on the second differences alone.
         limit = math.sqrt(self._position_sum / self._count) / USEFUL_SIGMA
-        useful = squares > limit**2
-        return vectors[:, motion & (strong | useful)]
+        estimated = motion & (strong | (squares > limit**2))
+        return LeverDirections(vectors[:, estimated], vectors[:, motion & ~estimated])

@@ -108,7 +108,7 @@ class InertialAligner:
             self._noise.calibration,
         )
         self._excitation = LeverExcitation(self._noise.gyro, self._noise.position)
-        self._lever_free = self._excitation.free_directions()
+        self._lever = self._excitation.directions()
         self._epochs = Epochs()
         self._filter = TwoStageFilter(self._noise)
         self._filtered = 0  # epochs that the filter has taken in
@@ -154,7 +154,7 @@ class InertialAligner:
         count = max(1, round(duration / EPOCH_S))
         self._epochs.append(integrate_windows(whole, self._config.sampling, count))
         self._excitation.update(self._epochs)
-        self._lever_free = self._excitation.free_directions()
+        self._lever = self._excitation.directions()
         if now > self._next_refresh_s - 0.5:
             later = [t for t in REFRESH_S if t > now + 0.5]
             self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
@@ -198,14 +198,14 @@ class InertialAligner:
             before = self._solution
             if before is None:
                 return
-            self._about = Linearisation(before.R, before.x[X_R], before.theta)
+            self._about = Linearisation(before.R, before.x[X_R])
             self._filter = TwoStageFilter(self._noise, self._filter.noise.again())
             self._filtered = 0
             self._advance()
             self._solution = self._solver().solve(self._filter.normal, before)
             moved = log_rotation(self._solution.R @ before.R.T)
             sigma = np.sqrt(self._solution.covariance.diagonal()[KAPPA])
-            if (np.abs(moved) < 0.01 * sigma).all():
+            if (np.abs(moved) < 0.01 * sigma).all() and not self._filter.noise.has_grown:
                 return
 
     def _is_linearised_about(self, solution: Solution) -> bool:
@@ -225,7 +225,7 @@ class InertialAligner:
         up = self._epochs.u.sum(axis=0)
         up /= np.linalg.norm(up)
         level = _any_rotation_with_up(up)
-        self._about = Linearisation(level, np.zeros(3), np.zeros(self._noise.theta_size))
+        self._about = Linearisation(level, np.zeros(3))
         self._filter, self._filtered = TwoStageFilter(self._noise), 0
         self._solution = None
         self._advance()
@@ -250,7 +250,7 @@ class InertialAligner:
         self._filtered = len(self._epochs)
 
     def _solver(self) -> Solver:
-        return Solver(self._prior, self._lever_free)
+        return Solver(self._prior, self._lever, self._about.R if self._about else None)
 
     def _is_coarse(self, solution: Solution) -> bool:
         """Whether heading is known well enough to be spoken of."""
@@ -274,8 +274,7 @@ class InertialAligner:
         x = filter_.X[:, :-1] @ theta + filter_.X[:, DATA]
         bias = theta[15:18] + (x[DRIFT] if self._noise.drift > 0.0 else 0.0)
         # The random part is that of the last cycle; since then the bias has gone on.
-        phi = x[PHI] - self._epochs.B[self._filtered :].sum(axis=0) @ bias
-        phi -= C_b0b @ bias * ahead_s
+        phi = x[PHI] - C_b0b @ bias * ahead_s
         t = float(self._epochs.time_s[-1]) + ahead_s
         C_nb0 = exp_rotation(-self._earth_rate_n * t) @ solution.R.T
         C_nb = C_nb0 @ exp_rotation(phi) @ C_b0b
@@ -283,9 +282,8 @@ class InertialAligner:
         J = filter_.X[:, :-1] @ solution.jacobian
         response = J[PHI].copy()
         response[:, KAPPA] -= np.eye(3)
-        unfiltered_s = t - float(self._epochs.time_s[self._filtered])
         P = filter_.P[PHI, PHI] + response @ solution.covariance @ response.T
-        P += self._noise.gyro**2 * unfiltered_s * np.eye(3)
+        P += self._noise.gyro**2 * ahead_s * np.eye(3)
         P_n = C_nb0 @ P @ C_nb0.T
         bias_response = np.zeros((3, solution.x.shape[0]))
         bias_response[:, X_BG] = np.eye(3)
@@ -307,9 +305,12 @@ class InertialAligner:
         )
 
     def _lever_arm(self, solution: Solution) -> LeverArm:
-        frozen = np.eye(3) - self._lever_free @ self._lever_free.T
+        free, considered = self._lever
+        frozen = np.eye(3) - free @ free.T
+        # What is considered is in the solution's covariance; the rest is the prior.
+        unknown = frozen - considered @ considered.T
         covariance = solution.covariance[X_R, X_R]
-        covariance = covariance + self._config.lever_arm_prior_sigma**2 * frozen
+        covariance = covariance + self._config.lever_arm_prior_sigma**2 * unknown
         x, y, z = (bool(share < 0.1) for share in frozen.diagonal())
         return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
 

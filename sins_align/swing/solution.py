@@ -11,6 +11,7 @@ by Gauss-Newton; the sums are exact, so that no step needs the data again.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,6 +20,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from sins_align.grades import ImuGrade
 from sins_align.rotation import exp_rotation, skew
+from sins_align.swing.excitation import LeverDirections
 from sins_align.swing.two_stage import (
     ACCEL_BIAS,
     ATTITUDE,
@@ -48,6 +50,8 @@ _LINEAR = np.arange(3, 15)
 ESTIMATE_RATIO = 2.0
 # Gauss-Newton has converged when what the step leaves, its square, is so much of sigma.
 CONVERGED = 0.01
+# As near as this the linearisation of the filter is that of the solution [rad].
+NEAR = 0.3
 
 
 @dataclass(frozen=True)
@@ -158,13 +162,15 @@ class Solver:
     Parameters
     ----------
     prior : its zero sigmas fix the parameter
-    lever_free : (3, m) orthonormal directions of the lever arm that the motion excites;
-        the others stay at the prior
+    lever : directions of the lever arm to estimate and to consider; the others stay at the
+        prior
+    about : (3, 3) attitude R about which the filter is linearised, None before it is
     """
 
-    def __init__(self, prior: Prior, lever_free: Array) -> None:
+    def __init__(self, prior: Prior, lever: LeverDirections, about: Array | None = None) -> None:
         self._prior = prior
-        self._lever_free = lever_free
+        self._lever = lever
+        self._about = about
 
     def solve(self, normal: Array, start: Solution, iterations: int = 10) -> Solution:
         """Gauss-Newton from `start`, until the attitude stays, or `iterations`."""
@@ -189,7 +195,7 @@ class Solver:
 
     def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
         """Information (m, m) and gradient (m,) of data and prior."""
-        J = at.jacobian
+        J = self._jacobian(at)
         A = normal[:-1, :-1]
         N = J.T @ A @ J
         gradient = J.T @ (A @ at.theta + normal[:-1, DATA])
@@ -199,19 +205,33 @@ class Solver:
         gradient[known] += (at.x[known] - mean[known]) / variance[known]
         return N, gradient
 
+    def _jacobian(self, at: Solution) -> Array:
+        """d theta / d x where the filter's own columns were linearised, if that is near.
+
+        With another attitude here than there, heading and the east gyro bias, which the data
+        cannot tell apart, seem to differ in second order, and no gyro noise covers that: at
+        1 deg/h the sigma of heading would sink below its error within a quarter of an hour
+        (first-estimates Jacobian: Huang, Mourikis & Roumeliotis, ISER 2008).
+        """
+        if self._about is None or np.abs(self._about - at.R).max() > NEAR:
+            return at.jacobian
+        return Solution(self._about, at.x, at.covariance).jacobian
+
     def _parameters(self, N: Array) -> tuple[Array, Array]:
         """Directions of x to estimate (m, e), and to consider, times their sigma (m, c)."""
         unit = np.eye(N.shape[0])
         variance = self._prior.variance
         columns = [unit[:, :6]]
+        considered = unit[:, :0]
         if variance[X_R].any():
-            columns.append(unit[:, X_R] @ self._lever_free)
+            columns.append(unit[:, X_R] @ self._lever.free)
+            considered = unit[:, X_R] @ self._lever.considered * math.sqrt(variance[6])
         others = np.r_[9:12, X_G : N.shape[0]]
         columns.append(unit[:, others[variance[others] > 0.0]])
         basis = np.hstack(columns)
         sigma = np.sqrt(variance[X_BA])
         if not sigma.all():
-            return basis, unit[:, :0]
+            return basis, considered
         # Information of data and prior on the accelerometer bias, in units of the prior.
         cross = basis.T @ N[:, X_BA] * sigma
         own = N[X_BA, X_BA] * np.outer(sigma, sigma)
@@ -219,15 +239,16 @@ class Solver:
         ratio, vectors = np.linalg.eigh(own)
         directions = unit[:, X_BA] @ (sigma[:, None] * vectors)
         excited = ratio > 1.0 + ESTIMATE_RATIO
-        return np.hstack((basis, directions[:, excited])), directions[:, ~excited]
+        considered = np.hstack((considered, directions[:, ~excited]))
+        return np.hstack((basis, directions[:, excited])), considered
 
     def _at_prior_outside(self, start: Solution, considered: Array) -> Solution:
         """`start` with what is not estimated put back to its prior."""
         prior, x = self._prior, start.x.copy()
         mean = prior.mean[X_R]
-        free = self._lever_free if prior.variance[X_R].any() else np.zeros((3, 0))
+        free = self._lever.free if prior.variance[X_R].any() else np.zeros((3, 0))
         x[X_R] = mean + free @ (free.T @ (x[X_R] - mean))
-        if considered.shape[1]:
+        if prior.variance[X_BA].all():
             # The directions are orthonormal in units of the prior's sigma.
             out = considered[X_BA]
             x[X_BA] -= out @ ((out / prior.variance[X_BA, None]).T @ x[X_BA])

@@ -32,6 +32,7 @@ heading error that multiplies measured noise would come back as information abou
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -97,14 +98,13 @@ class GravityModel:
 
 
 class Linearisation(NamedTuple):
-    """About what the noise model is linearised, and what the innovations are judged by.
+    """About what the noise model is linearised.
 
-    R : (3, 3) columns east, north, up in b0; r_b : (3,) lever arm; theta : (p,)
+    R : (3, 3) columns east, north, up in b0; r_b : (3,) lever arm
     """
 
     R: Array
     r_b: Array
-    theta: Array
 
 
 class Steps(NamedTuple):
@@ -149,7 +149,8 @@ def _central_difference(d: Array, t: Array) -> Array:
     v = np.zeros_like(d)
     if t.shape[0] > 2:
         slope = (d[1:] - d[:-1]) / (t[1:] - t[:-1])[:, None]
-        v[1:-1] = 0.5 * (slope[1:] + slope[:-1])
+        before, after = np.diff(t)[:-1, None], np.diff(t)[1:, None]
+        v[1:-1] = (after * slope[:-1] + before * slope[1:]) / (before + after)
         v[0], v[-1] = 1.5 * slope[0] - 0.5 * slope[1], 1.5 * slope[-1] - 0.5 * slope[-2]
     return v
 
@@ -253,24 +254,29 @@ class PositionNoise:
         self._seen = self._expected = self._consistency = 0.0
         self._weight = 0.0
 
-    def update(self, seen: float, expected: float, normalised: float, count: int) -> None:
-        """Take in the innovations of `count` epochs.
+    def updated(self, seen: float, expected: float, normalised: float, count: int) -> PositionNoise:
+        """With the innovations of `count` epochs, which this noise has been used for.
 
         Parameters
         ----------
         seen, expected : mean square of an innovation, and what it should be [m^2]
         normalised : mean normalised square, per axis
         """
+        other = copy(self)
         keep = (1.0 - 1.0 / self.MEMORY) ** count
         expected -= self.variance - self.floor
-        self._weight = 1.0 - keep * (1.0 - self._weight)
-        self._seen = keep * self._seen + (1.0 - keep) * seen
-        self._expected = keep * self._expected + (1.0 - keep) * expected
-        self._consistency = keep * self._consistency + (1.0 - keep) * normalised
-        grown = self._seen > self.SIGNIFICANT * self._expected
-        excess = (self._seen - self._expected) / self._weight
-        self.variance = self.floor + (excess if grown else 0.0)
-        self.has_grown |= grown
+        other._weight = 1.0 - keep * (1.0 - self._weight)
+        other._seen = keep * self._seen + (1.0 - keep) * seen
+        other._expected = keep * self._expected + (1.0 - keep) * expected
+        other._consistency = keep * self._consistency + (1.0 - keep) * normalised
+        grown = other._seen > self.SIGNIFICANT * other._expected
+        excess = (other._seen - other._expected) / other._weight if grown else 0.0
+        # A step of the centre shows at once: six sigma of the mean of 3 count squares.
+        if seen > (1.0 + 6.0 * math.sqrt(2.0 / (3.0 * count))) * expected:
+            excess = max(excess, seen - expected)
+        other.variance = self.floor + excess
+        other.has_grown = self.has_grown or excess > 0.0
+        return other
 
     def again(self) -> PositionNoise:
         """For another run over the same epochs: begins with what this one found."""
@@ -298,6 +304,8 @@ class TwoStageFilter:
     """
 
     PORTION = 10  # epochs between two looks at the innovations
+    REDO = 1.5  # a portion is run again where its variance turns out to be so much larger,
+    RETRIES = 4  # but not more often than this
 
     def __init__(self, noise: NoiseModel, position: PositionNoise | None = None) -> None:
         n = 12 if noise.drift > 0.0 else 9
@@ -328,24 +336,22 @@ class TwoStageFilter:
         """
         for first in range(0, steps.F.shape[0], self.PORTION):
             part = Steps(*(a[first : first + self.PORTION] for a in steps))
-            E, SiE, S = self._run_portion(part)
-            K = E.shape[0]
-            E, SiE = E.reshape(-1, self.columns), SiE.reshape(-1, self.columns)
-            self.normal += E.T @ SiE
-            if theta is None:
-                continue
-            whole = np.append(theta, 1.0)
-            innovations = E @ whole
-            expected = float(np.trace(S, axis1=1, axis2=2).sum())
-            if theta_covariance is not None:
-                expected += float(((E[:, :-1] @ theta_covariance) * E[:, :-1]).sum())
-            normalised = float(innovations @ (SiE @ whole))
-            self.noise.update(
-                float(innovations @ innovations) / (3 * K),
-                expected / (3 * K),
-                normalised / (3 * K),
-                K,
-            )
+            before, noise = self._M, self.noise
+            for _ in range(self.RETRIES):
+                E, SiE, S = self._run_portion(part)
+                if theta is None:
+                    break
+                judged = _judge(noise, E, S, theta, theta_covariance)
+                if judged.variance <= self.REDO * self.noise.variance:
+                    self.noise = judged
+                    break
+                # The centre was less at rest than these epochs were weighted for: again.
+                self._M = before
+                self.noise = copy(noise)
+                self.noise.variance, self.noise.has_grown = judged.variance, True
+            else:
+                E, SiE, S = self._run_portion(part)
+            self.normal += E.reshape(-1, self.columns).T @ SiE.reshape(-1, self.columns)
         self._M[:, self.columns :] = 0.5 * (self.P + self.P.T)
 
     def _run_portion(self, steps: Steps) -> tuple[Array, Array, Array]:
@@ -370,3 +376,20 @@ class TwoStageFilter:
             E[k], SiE[k] = HM[:, :c], solved[:, :c]
         self._M = M
         return E, SiE, S
+
+
+def _judge(
+    noise: PositionNoise, E: Array, S: Array, theta: Array, theta_covariance: Array | None
+) -> PositionNoise:
+    """`noise` after a look at the innovations E theta + e of a portion: (K, 3, p + 1)."""
+    K = E.shape[0]
+    innovations = E @ np.append(theta, 1.0)
+    if theta_covariance is not None:
+        S = S + E[:, :, :-1] @ theta_covariance @ E[:, :, :-1].transpose(0, 2, 1)
+    normalised = innovations * np.linalg.solve(S, innovations[:, :, None])[:, :, 0]
+    return noise.updated(
+        float((innovations * innovations).mean()),
+        float(np.trace(S, axis1=1, axis2=2).mean()) / 3.0,
+        float(normalised.mean()),
+        K,
+    )
