@@ -5,10 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from sins_align.config import ConfigError, SwingConfig
 from sins_align.ros.bags import Bag
 from sins_align.ros.publish_grid import PublishGrid, find_sample
+from sins_align.ros.truth import Truth
 from sins_align.session import Session, Update
 from sins_align.types import Array, Estimate, ImuSamples
 
@@ -57,6 +59,24 @@ class Replay:
         sample = None if estimate is None else find_sample(samples, estimate.stamp_ns)
         if estimate is not None and sample is not None:
             self.records.append(AttitudeRecord(estimate, *sample))
+
+
+class Outcome(NamedTuple):
+    """A replay that is done.
+
+    title : what was replayed
+    estimate : the session's conclusion
+    document : the content of result.json
+    truth : to compare with, None where it is not known
+    frame_id : of the IMU
+    """
+
+    title: str
+    replay: Replay
+    estimate: Estimate | None
+    document: dict[str, Any]
+    truth: Truth | None
+    frame_id: str
 
 
 def open_session(config: SwingConfig, bag: Bag, fix_topic: str | None) -> Session:

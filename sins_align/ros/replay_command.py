@@ -107,8 +107,8 @@ def _replay_swing(options: argparse.Namespace, begin: float) -> int:
     from sins_align.parameters import check_values
     from sins_align.ros.bags import open_bag
     from sins_align.ros.parameter_values import read_values
-    from sins_align.ros.replay import open_session, run_replay
-    from sins_align.ros.replay_output import CHART_RATE_HZ, Outcome, print_outcome, write_outcome
+    from sins_align.ros.replay import Outcome, open_session, run_replay
+    from sins_align.ros.replay_output import CHART_RATE_HZ, print_outcome, write_outcome
     from sins_align.ros.result import Timing, result_document, write_result
     from sins_align.ros.truth import read_truth
 

@@ -3,34 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from sins_align.ros.command import say
-from sins_align.ros.replay import Replay
+from sins_align.ros.replay import Outcome
 from sins_align.ros.result import result_text, write_result
 from sins_align.ros.result_table import describe_result
-from sins_align.ros.truth import Truth
-from sins_align.types import Estimate
 
 CHART_RATE_HZ = 1.0  # shows a swing, and takes a fifth of a second for seven minutes
-
-
-class Outcome(NamedTuple):
-    """A replay that is done.
-
-    title : what was replayed
-    estimate : the session's conclusion
-    document : the content of result.json
-    truth : to compare with, None where it is not known
-    frame_id : of the IMU
-    """
-
-    title: str
-    replay: Replay
-    estimate: Estimate | None
-    document: dict[str, Any]
-    truth: Truth | None
-    frame_id: str
 
 
 def print_outcome(outcome: Outcome, *, as_json: bool, quiet: bool) -> None:

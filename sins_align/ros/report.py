@@ -5,11 +5,11 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sins_align.ros.chart import Chart, Series, chart_svg
+from sins_align.ros.replay import Outcome, Replay
 from sins_align.ros.result import (
     roll_pitch_heading,
     roll_pitch_heading_sigma,
@@ -20,10 +20,6 @@ from sins_align.ros.truth import Truth
 from sins_align.session import Update
 from sins_align.types import Array, Estimate
 from sins_align.units import ARCMIN, DEG
-
-if TYPE_CHECKING:
-    from sins_align.ros.replay import Replay
-    from sins_align.ros.replay_output import Outcome
 
 _ANGLES = ("roll", "pitch", "heading")
 _MAX_POINTS = 1000  # of a line: more than there are pixels
