@@ -34,6 +34,9 @@ STREAM_REMEDY = "check the IMU's stamps, units and rate"
 GRADE_REMEDY = "check latitude_deg, imu_grade and the IMU's units"
 # 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
 MAX_INTERVAL_S = 0.125
+# Root mean square over a block [m/s^2]; a swing adds little to gravity.
+LEAST_FORCE, GREATEST_FORCE = 7.0, 14.0
+UNITS_REMEDY = "the IMU has to give specific force in m/s^2, gravity included"
 
 
 class Update(NamedTuple):
@@ -166,12 +169,9 @@ class Session:
         assert self._aligner is not None and self._position is not None
         stamp_ns = int(block.stamp_ns[-1])
         elapsed = self._intake.elapsed_s(stamp_ns)
-        interval = (stamp_ns - int(block.stamp_ns[0])) * 1e-9 / (block.stamp_ns.shape[0] - 1)
-        if interval > MAX_INTERVAL_S:  # so it may be where samples are lost, but not all steps
-            interval = float(np.quantile(np.diff(block.stamp_ns), 0.25)) * 1e-9
-        if interval > MAX_INTERVAL_S:
-            rate = f"the IMU gives {1.0 / interval:.1f} samples a second, 10 are the least"
-            return self._fail(stamp_ns, Status(State.FAILED, rate, STREAM_REMEDY, elapsed))
+        fault = find_fault(block)
+        if fault is not None:
+            return self._fail(stamp_ns, Status(State.FAILED, *fault, elapsed))
         try:
             self._aligner.update(block)
             estimate = self._aligner.estimate
@@ -220,6 +220,22 @@ class Session:
         except np.linalg.LinAlgError:
             return None
         return estimate if estimate is not None and is_sound(estimate) else None
+
+
+def find_fault(block: ImuBlock) -> tuple[str, str] | None:
+    """Why nothing can be made of a block, and the remedy; None where something can."""
+    steps = np.diff(block.stamp_ns)
+    interval = float(block.stamp_ns[-1] - block.stamp_ns[0]) * 1e-9 / steps.shape[0]
+    if interval > MAX_INTERVAL_S:  # so it may be where samples are lost, but not all steps
+        interval = float(np.quantile(steps, 0.25)) * 1e-9
+    if interval > MAX_INTERVAL_S:
+        rate = f"the IMU gives {1.0 / interval:.1f} samples a second, 10 are the least"
+        return rate, STREAM_REMEDY
+    f = block.f_ib_b
+    force = math.sqrt(float(np.einsum("ik,ik->", f, f)) / f.shape[1])
+    if not LEAST_FORCE < force < GREATEST_FORCE:
+        return f"a specific force of {force:.3g} m/s^2 is not that of a base at rest", UNITS_REMEDY
+    return None
 
 
 def is_sound(estimate: Estimate) -> bool:

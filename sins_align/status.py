@@ -13,6 +13,11 @@ FINE_HEADING_SIGMA = 0.035  # [rad], 2 deg
 POLE_REMEDY = "there is no heading at the pole: check latitude_deg"
 
 
+# Mean normalised innovation squared over its expectation: beyond this a sigma is not believed.
+MAX_CONSISTENCY = 2.0
+CONSISTENCY_REMEDY = "keep the base in place; check imu_grade, imu_sampling and the latitude"
+
+
 class Completer:
     """Watches sigma against the thresholds; aligned when below for hold_s.
 
@@ -76,6 +81,11 @@ class Completer:
             level, threshold = max(east, north) / ARCSEC, level_threshold / ARCSEC
             missing.append(f'level sigma {level:.1f}" not below {threshold:g}"')
             remedies.append(self._level_remedy())
+        if estimate.consistency > MAX_CONSISTENCY:
+            missing.append(
+                f"the innovations are {estimate.consistency:.1f} times what they should be"
+            )
+            remedies.append(CONSISTENCY_REMEDY)
         return "; ".join(missing), "; ".join(filter(None, remedies))
 
     def _heading_remedy(self, limit: float) -> str:
