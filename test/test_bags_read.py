@@ -260,6 +260,12 @@ def test_first_valid_fix(tmp_path: Path) -> None:
         assert opened.read_fix("/fix") is None
     with open_bag([tmp_path / "bad", tmp_path / "good"]) as opened:
         assert opened.read_fix("/fix") is not None
+    fix.latitude, fix.altitude = 9.0, float("nan")
+    with BagWriter(tmp_path / "flat") as bag:
+        bag.write("/fix", T0, fix)
+    with open_bag([tmp_path / "flat"]) as opened:
+        have = opened.read_fix("/fix")
+        assert have is not None and have.altitude == 0.0
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from sins_align.ros.bags import BagError, open_bag
-from sins_align.ros.bags_write import BagWriter, ImuBagWriter, write_messages
+from sins_align.ros.bags_write import BagWriter, ImuBagWriter
 from sins_align.ros.cdr import ImuDecoder, encode_imu, pack_payloads
 from sins_align.types import Position
 
@@ -124,7 +124,9 @@ def test_messages_of_any_type(tmp_path: Path) -> None:
             angular=types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0),
         ),
     )
-    write_messages(tmp_path / "a.mcap", [("/odom", T0, twist), ("/odom", T0 + 1, twist)])
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write("/odom", T0, twist)
+        writer.write("/odom", T0 + 1, twist)
     assert (tmp_path / "a.mcap").is_file()
     with open_bag([tmp_path / "a.mcap"]) as bag:
         read = list(bag.read_messages(bag.find_topic("odom").name))
@@ -142,8 +144,8 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 
 def test_an_error_leaves_nothing_behind(tmp_path: Path) -> None:
-    with pytest.raises(AttributeError):
-        write_messages(tmp_path / "bag", [("/odom", T0, "no message")])
+    with pytest.raises(AttributeError), BagWriter(tmp_path / "bag") as writer:
+        writer.write("/odom", T0, "no message")
     assert list(tmp_path.iterdir()) == []
 
 

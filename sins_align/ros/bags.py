@@ -34,6 +34,7 @@ from sins_align.ros.bags_open import open_path
 from sins_align.ros.bags_topics import choose_topic, describe_topics, types_of
 from sins_align.ros.bags_types import typestore_for
 from sins_align.ros.cdr import IMU_ROW, Decoder, ImuDecoder, RawDecoder, Rows
+from sins_align.ros.fix import position_from_fix
 from sins_align.types import ImuSamples, Position
 
 __all__ = ["Bag", "BagError", "ReadReport", "Topic", "open_bag"]
@@ -230,18 +231,15 @@ class Bag:
     def read_fix(self, topic: str) -> Position | None:
         """Position of the first sensor_msgs/NavSatFix that has one, None if none has.
 
-        Valid is a status of at least 0 with finite values. Raises BagError.
+        Raises BagError.
         """
         for _, fix in self.read_messages(topic):
             try:
-                values = (fix.latitude, fix.longitude, fix.altitude)
-                valid = fix.status.status >= 0
+                position = position_from_fix(fix)
             except AttributeError as error:  # the bag's definition of the type is another one
                 raise BagError(self._where, f"{topic}: {error}") from error
-            on_earth = abs(fix.latitude) <= 90.0 and abs(fix.longitude) <= 180.0
-            if valid and on_earth and np.isfinite(values).all():
-                latitude, longitude = np.radians(values[:2]).tolist()
-                return Position(latitude, longitude, fix.altitude)
+            if position is not None:
+                return position
         return None
 
     def _topic(self, name: str) -> Topic:

@@ -186,22 +186,6 @@ class ImuBagWriter(BagWriter):
         self.write_imu(samples, topic=self._topic, frame_id=self._frame_id)
 
 
-def write_messages(
-    path: Path,
-    messages: Iterable[tuple[str, int, Any]],
-    *,
-    storage: Storage = "mcap",
-    compression: Compression = "none",
-) -> None:
-    """Write a bag of (topic, log time [ns], message of a type of `rosbags`).
-
-    Raises BagError when the target exists or cannot be written.
-    """
-    with BagWriter(path, storage=storage, compression=compression) as bag:
-        for topic, log_time, message in messages:
-            bag.write(topic, log_time, message)
-
-
 @contextmanager
 def _as_bag_error(path: Path) -> Iterator[None]:
     """Turn what writing raises into a BagError on `path`."""

@@ -1,8 +1,6 @@
-"""ROS messages from estimates, and positions from ROS messages."""
+"""ROS messages from estimates and positions."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -71,15 +69,6 @@ def lever_arm_message(
     covariance[:3, :3] = lever_arm.covariance
     message.pose.covariance = covariance.ravel()
     return message
-
-
-def position_from_fix(fix: NavSatFix) -> Position | None:
-    """Position of a fix, None where it has none; an altitude that is not finite is 0."""
-    known = fix.status.status >= 0 and math.isfinite(fix.longitude)
-    if not known or not abs(fix.latitude) <= 90.0 or not abs(fix.longitude) <= 180.0:
-        return None
-    altitude = fix.altitude if math.isfinite(fix.altitude) else 0.0
-    return Position(fix.latitude * DEG, fix.longitude * DEG, altitude)
 
 
 def fix_message(stamp_ns: int, position: Position, frame_id: str) -> NavSatFix:

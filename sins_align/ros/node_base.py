@@ -28,6 +28,7 @@ from sins_align.ros import messages
 from sins_align.ros.cdr import ImuDecoder, pack_payloads
 from sins_align.ros.command import error_text
 from sins_align.ros.diagnostics import diagnostic_status, key_values
+from sins_align.ros.fix import position_from_fix
 from sins_align.ros.node_parameters import declare_parameters
 from sins_align.ros.publish_grid import PublishGrid, find_sample
 from sins_align.ros.result import Timing, check_target, result_document, write_result
@@ -223,7 +224,7 @@ class AlignNode(Node):
         self.send(self._misalignment, misalignment)
 
     def _on_fix(self, fix: NavSatFix) -> None:
-        position = messages.position_from_fix(fix)
+        position = position_from_fix(fix)
         if position is None or self.session.position is not None:
             return
         self._flush()
