@@ -521,3 +521,14 @@ def test_what_is_sound() -> None:
     for P in (np.diag([1.0, 1.0, -1e-30]), np.diag([1.0, math.inf, 1.0])):
         assert not is_sound(dataclasses.replace(good, misalignment_covariance=P))
     assert not is_sound(dataclasses.replace(good, q_nb=np.full(4, math.nan)))
+
+
+@pytest.mark.parametrize("factor", [0.0, 1.0 / 9.80665, 2.0])
+def test_a_force_that_is_not_gravity_is_told(factor: float) -> None:
+    """In g, with gravity removed, or doubled: refused by name, and never an attitude."""
+    samples = imu(duration_s=20.0)
+    wrong = ImuSamples(samples.stamp_ns, samples.w_ib_b, factor * samples.f_ib_b)
+    session, updates = run(wrong)
+    assert session.estimate is None
+    assert updates and all(u.status.state is State.FAILED for u in updates)
+    assert "m/s^2" in session.status.reason and "gravity" in session.status.remedy

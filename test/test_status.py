@@ -157,3 +157,10 @@ def test_not_a_number_is_never_aligned(what: str) -> None:
     assert status.state in (State.COARSE, State.FINE)
     assert status.reason
     assert status.aligned_at_s is None
+
+
+def test_innovations_that_do_not_fit_are_not_aligned() -> None:
+    found = dataclasses.replace(estimate(), consistency=2.5)
+    status = status_of(found)
+    assert status.state is not State.ALIGNED
+    assert "2.5 times" in status.reason and status.remedy

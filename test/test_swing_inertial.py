@@ -18,7 +18,7 @@ from sins_align.config import swing_config
 from sins_align.ros.bags import open_bag
 from sins_align.rotation import dcm_from_quaternion, heading_from_yaw, rpy_from_dcm
 from sins_align.session import Session
-from sins_align.simulate import SwingOptions, simulate_swing
+from sins_align.simulate import SCENARIOS, SwingOptions, simulate_swing
 from sins_align.types import ImuSamples, State
 from sins_align.units import ARCMIN, ARCSEC, DEG
 
@@ -133,6 +133,31 @@ def test_a_turn_of_the_base_finds_the_gyro_bias() -> None:
     turned = monte_carlo(replace(still, turn_deg=90.0), {}, range(SEEDS))
     assert turned[0].sigma[2] < 0.5 * straight.sigma[2]
     assert_honest_heading(turned)
+
+
+def test_no_false_information_in_a_long_run() -> None:
+    """A bias of 1 deg/h limits heading to 5 deg for ever: sigma must not sink below that."""
+    options = replace(PITCH, scenario="still", grade="tactical", duration_s=900.0, rate_hz=50.0)
+    outcomes = monte_carlo(options, {}, range(500, 506))
+    for outcome in outcomes:
+        assert abs(outcome.misalignment[2]) < 4.0 * outcome.sigma[2]
+        assert outcome.sigma[2] > 4.8 * DEG
+
+
+def test_a_weak_swing_is_considered() -> None:
+    """0.35 deg with a lever arm of 5 m: not to be told, but not to be ignored either."""
+    weak = replace(SCENARIOS["level"], amplitude_deg=(0.35, 0.35, 0.35))
+    options = replace(PITCH, scenario=weak, grade="rlg", duration_s=60.0)
+    for outcome in monte_carlo(options, {}, range(6)):
+        assert abs(outcome.misalignment[2]) < 4.0 * outcome.sigma[2]
+        assert outcome.lever_observable == (False, False, False)
+
+
+def test_a_slow_heave_is_covered() -> None:
+    """20 cm in a period of a minute, under a floor of half a millimetre."""
+    options = replace(PITCH, grade="rlg", scenario="still", heave_m=0.2, heave_period_s=60.0)
+    for outcome in monte_carlo(options, {}, range(4)):
+        assert (np.abs(outcome.misalignment) < 5.0 * outcome.sigma).all()
 
 
 @pytest.mark.parametrize("latitude", [-35.0, 75.0])
