@@ -211,17 +211,21 @@ def inertial_cases(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
     for scenario in ("still", "pitch"):
         long = SwingOptions(scenario=scenario, grade="tactical", rate_hz=100.0, duration_s=1200.0)
         outcomes = monte_carlo(long, {}, range(seeds))
-        yield f"inertial, tactical, {scenario}, 1200 s", outcomes, [
-            Check("heading NEES", heading_nees(outcomes), 0.6, 1.7)
-        ]
+        yield (
+            f"inertial, tactical, {scenario}, 1200 s",
+            outcomes,
+            [Check("heading NEES", heading_nees(outcomes), 0.6, 1.7)],
+        )
     # Too weak a swing to tell the lever arm, strong enough for it to disturb.
     weak = replace(SCENARIOS["level"], amplitude_deg=(0.35, 0.35, 0.35))
     for duration in (60.0, 420.0):
         options = SwingOptions(scenario=weak, grade="rlg", rate_hz=100.0, duration_s=duration)
         outcomes = monte_carlo(options, {}, range(seeds))
-        yield f"inertial, swing of 0.35 deg, rlg, {duration:g} s", outcomes, [
-            upper("largest heading error / sigma", _covered(outcomes), 4.0)
-        ]
+        yield (
+            f"inertial, swing of 0.35 deg, rlg, {duration:g} s",
+            outcomes,
+            [upper("largest heading error / sigma", _covered(outcomes), 4.0)],
+        )
     plain = SwingOptions(rate_hz=100.0)
     cases: list[tuple[str, dict[str, Any], dict[str, Any], float]] = [
         ("heave 3 cm, default parameters", {"heave_m": 0.03}, {}, 2e-3),
