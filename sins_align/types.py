@@ -90,8 +90,8 @@ class Estimate:
     gyro_bias, gyro_bias_sigma : (3,) [rad/s]
     accel_bias, accel_bias_sigma : (3,) [m/s^2]
     lever_arm : None where the method has none
-    consistency : mean normalised innovation squared over its expected value; 1 is perfect,
-        NaN before there is an innovation
+    consistency : mean normalised innovation squared over its expected value, of late: above 1
+        the data are worse than declared, below 1 better; NaN before there is an innovation
     """
 
     stamp_ns: int
