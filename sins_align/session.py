@@ -72,7 +72,9 @@ class Session:
         self._status: Status | None = None
 
     def _make_completer(self) -> Completer:
-        return Completer(self._config.completion, level_limit(self._config.grade))
+        grade = self._config.grade
+        bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
+        return Completer(self._config.completion, level_limit(grade), bias)
 
     def _waiting_status(self) -> Status:
         if self._position is None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from sins_align.config import Completion
 from sins_align.types import Estimate, State, Status
 from sins_align.units import ARCMIN, ARCSEC
@@ -15,6 +17,8 @@ POLE_REMEDY = "there is no heading at the pole: check latitude_deg"
 
 # Mean normalised innovation squared over its expectation: beyond this a sigma is not believed.
 MAX_CONSISTENCY = 2.0
+# A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
+MAX_BIAS_RATIO = 5.0
 CONSISTENCY_REMEDY = "keep the base in place; check imu_grade, imu_sampling and the latitude"
 
 
@@ -25,11 +29,15 @@ class Completer:
     ----------
     completion : thresholds and time to hold
     level_limit : what the declared accelerometers allow for the levels [rad]
+    gyro_bias_sigma : declared, drift included [rad/s]; 0 where none is estimated
     """
 
-    def __init__(self, completion: Completion, level_limit: float = 0.0) -> None:
+    def __init__(
+        self, completion: Completion, level_limit: float = 0.0, gyro_bias_sigma: float = 0.0
+    ) -> None:
         self._completion = completion
         self._level_limit = level_limit
+        self._gyro_bias_sigma = gyro_bias_sigma
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
@@ -86,7 +94,12 @@ class Completer:
                 f"the innovations are {estimate.consistency:.1f} times what they should be"
             )
             remedies.append(CONSISTENCY_REMEDY)
-        return "; ".join(missing), "; ".join(filter(None, remedies))
+        bias = float(np.abs(estimate.gyro_bias).max())
+        if self._gyro_bias_sigma > 0.0 and bias > MAX_BIAS_RATIO * self._gyro_bias_sigma:
+            ratio = bias / self._gyro_bias_sigma
+            missing.append(f"the estimated gyro bias is {ratio:.1f} times what is declared")
+            remedies.append(CONSISTENCY_REMEDY)
+        return "; ".join(missing), "; ".join(dict.fromkeys(filter(None, remedies)))
 
     def _heading_remedy(self, limit: float) -> str:
         if math.isnan(limit):

@@ -164,3 +164,11 @@ def test_innovations_that_do_not_fit_are_not_aligned() -> None:
     status = status_of(found)
     assert status.state is not State.ALIGNED
     assert "2.5 times" in status.reason and status.remedy
+
+
+def test_a_bias_beyond_the_declared_one_is_not_aligned() -> None:
+    found = dataclasses.replace(estimate(), gyro_bias=np.array([0.0, -6e-6, 0.0]))
+    assert status_of(found, gyro_bias_sigma=2e-6).state is State.ALIGNED
+    status = status_of(found, gyro_bias_sigma=1e-6)
+    assert status.state is not State.ALIGNED
+    assert "6.0 times" in status.reason
