@@ -39,6 +39,27 @@ class ImuSamples(NamedTuple):
         return ImuSamples(self.stamp_ns[index], self.w_ib_b[:, index], self.f_ib_b[:, index])
 
 
+class OdometerSamples(NamedTuple):
+    """Consecutive odometer samples, in the order in which they arrived.
+
+    stamp_ns : (N,) int64 end of the interval that the value stands for [ns]
+    speed : (N,) forward speed of the vehicle, its mean over that interval [m/s]; negative
+        in reverse
+    variance : (N,) of the speed [m^2/s^2], 0 where it is not known
+    """
+
+    stamp_ns: IntArray
+    speed: Array
+    variance: Array
+
+    def __len__(self) -> int:  # number of samples, not of fields
+        return int(self.stamp_ns.shape[0])
+
+    def select(self, index: slice | IntArray | NDArray[np.bool_]) -> OdometerSamples:
+        """The samples that `index` picks, in its order."""
+        return OdometerSamples(self.stamp_ns[index], self.speed[index], self.variance[index])
+
+
 class ImuSampling(enum.Enum):
     """What the value of an IMU sample stands for."""
 
@@ -81,6 +102,29 @@ class LeverArm:
 
 
 @dataclass(frozen=True)
+class OdometerEstimate:
+    """What was found out about the odometer.
+
+    scale_error, scale_sigma : measured distance over true distance, minus 1
+    latency_s, latency_sigma_s : by how much the stamps are late
+    mounting_rpy : (3,) rotation of the vehicle's axes in b, C_bm = Rz Ry Rx [rad]: the
+        vehicle travels along C_bm @ (1, 0, 0). mounting_covariance : (3, 3) of small
+        rotations about x, y, z of b [rad^2]
+    lever_arm_b, lever_arm_covariance : (3,), (3, 3) from the IMU to the odometer's reference
+        point, in b [m], [m^2]
+    """
+
+    scale_error: float
+    scale_sigma: float
+    latency_s: float
+    latency_sigma_s: float
+    mounting_rpy: Array
+    mounting_covariance: Array
+    lever_arm_b: Array
+    lever_arm_covariance: Array
+
+
+@dataclass(frozen=True)
 class Estimate:
     """An alignment at the time of one sample.
 
@@ -89,7 +133,7 @@ class Estimate:
     misalignment_covariance : (3, 3) of phi, axes east, north, up [rad^2]
     gyro_bias, gyro_bias_sigma : (3,) [rad/s]
     accel_bias, accel_bias_sigma : (3,) [m/s^2]
-    lever_arm : None where the method has none
+    lever_arm, odometer : None where the method has none
     consistency : mean normalised innovation squared over its expected value, of late: above 1
         the data are worse than declared, below 1 better; NaN before there is an innovation
     """
@@ -102,6 +146,7 @@ class Estimate:
     accel_bias: Array
     accel_bias_sigma: Array
     lever_arm: LeverArm | None = None
+    odometer: OdometerEstimate | None = None
     consistency: float = float("nan")
 
     @property
