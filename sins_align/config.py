@@ -14,7 +14,15 @@ from sins_align.parameters import GRADE_OVERRIDES, check_values
 from sins_align.types import Array, ImuSampling, Position
 from sins_align.units import ARCMIN, ARCSEC, DEG
 
-__all__ = ["ConfigError", "ImuGrade", "PaperConfig", "SwingConfig", "load_grade"]
+__all__ = [
+    "ConfigError",
+    "ImuGrade",
+    "OdoConfig",
+    "OdometerConfig",
+    "PaperConfig",
+    "SwingConfig",
+    "load_grade",
+]
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,54 @@ class SwingConfig:
     paper: PaperConfig
 
 
+@dataclass(frozen=True)
+class OdometerConfig:
+    """What is known of the odometer beforehand; SI, axes of b (FLU), 1 sigma.
+
+    timeout_s : how long the IMU waits for it
+    latency, latency_sigma [s], latency_walk [s/sqrt(s)] : by how much its stamps are late
+    lever_arm, lever_arm_sigma : (3,) from the IMU to its reference point [m]
+    scale_sigma, scale_walk : [1], [1/sqrt(s)]
+    quantum : distance of one count [m], None: found from the data
+    noise : (3,) of the displacement over an epoch, forward, left, up [m], and noise_per_m :
+        (3,) what it grows by with the distance travelled [1]
+    direction_sigma : slow part of the direction of travel, lateral and vertical [rad]
+    mounting_rpy, mounting_sigma : vehicle's axes in b: roll, pitch, yaw, REP-103 [rad]
+    """
+
+    timeout_s: float
+    latency: float
+    latency_sigma: float
+    latency_walk: float
+    lever_arm: Array
+    lever_arm_sigma: Array
+    scale_sigma: float
+    scale_walk: float
+    quantum: float | None
+    noise: Array
+    noise_per_m: Array
+    direction_sigma: float
+    mounting_rpy: Array
+    mounting_sigma: float
+
+
+@dataclass(frozen=True)
+class OdoConfig:
+    """Settings of `odo_align`.
+
+    position : None until a fix has come
+    stationary : the vehicle stands, and needs no odometer
+    """
+
+    method: str
+    position: Position | None
+    grade: ImuGrade
+    sampling: ImuSampling
+    completion: Completion
+    stationary: bool
+    odometer: OdometerConfig
+
+
 def _position(values: Mapping[str, Any]) -> Position | None:
     latitude, longitude, altitude = (
         values[key] for key in ("latitude_deg", "longitude_deg", "altitude_m")
@@ -84,6 +140,52 @@ def _position(values: Mapping[str, Any]) -> Position | None:
 def _grade(values: Mapping[str, Any]) -> ImuGrade:
     overrides = {k: values[k] for k in GRADE_OVERRIDES if not math.isnan(values[k])}
     return grade_from_values(overrides, load_grade(values["imu_grade"]))
+
+
+def _completion(values: Mapping[str, Any]) -> Completion:
+    return Completion(
+        values["heading_threshold_arcmin"] * ARCMIN,
+        values["level_threshold_arcsec"] * ARCSEC,
+        values["hold_s"],
+    )
+
+
+def _none_if_nan(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def odo_config(parameters: Mapping[str, object] | None = None) -> OdoConfig:
+    """Settings of `odo_align` from parameter values in YAML units, over the defaults.
+
+    Raises
+    ------
+    ConfigError : unknown parameter, wrong type, out of range; names the key
+    """
+    values: dict[str, Any] = check_values("odo_align", parameters or {})
+    return OdoConfig(
+        method=values["method"],
+        position=_position(values),
+        grade=_grade(values),
+        sampling=ImuSampling(values["imu_sampling"]),
+        completion=_completion(values),
+        stationary=values["aiding"] == "stationary",
+        odometer=OdometerConfig(
+            timeout_s=values["odom_timeout_s"],
+            latency=values["odometer_latency_s"],
+            latency_sigma=values["odometer_latency_sigma_s"],
+            latency_walk=values["odometer_latency_walk_s_sqrt_s"],
+            lever_arm=np.array(values["odometer_lever_arm_m"]),
+            lever_arm_sigma=np.array(values["odometer_lever_arm_sigma_m"]),
+            scale_sigma=values["odometer_scale_sigma"],
+            scale_walk=values["odometer_scale_walk_sqrt_s"],
+            quantum=_none_if_nan(values["odometer_quantum_m"]),
+            noise=np.array(values["odometer_noise_m"]),
+            noise_per_m=np.array(values["odometer_noise_per_m"]),
+            direction_sigma=values["odometer_direction_sigma_deg"] * DEG,
+            mounting_rpy=np.array(values["mounting_rpy_deg"]) * DEG,
+            mounting_sigma=values["mounting_sigma_deg"] * DEG,
+        ),
+    )
 
 
 def swing_config(parameters: Mapping[str, object] | None = None) -> SwingConfig:
@@ -103,11 +205,7 @@ def swing_config(parameters: Mapping[str, object] | None = None) -> SwingConfig:
         position=_position(values),
         grade=_grade(values),
         sampling=ImuSampling(values["imu_sampling"]),
-        completion=Completion(
-            values["heading_threshold_arcmin"] * ARCMIN,
-            values["level_threshold_arcsec"] * ARCSEC,
-            values["hold_s"],
-        ),
+        completion=_completion(values),
         passes=values["passes"],
         lever_arm_prior=np.array(values["lever_arm_prior_m"]),
         lever_arm_prior_sigma=values["lever_arm_prior_sigma_m"],
@@ -116,7 +214,7 @@ def swing_config(parameters: Mapping[str, object] | None = None) -> SwingConfig:
         paper=PaperConfig(
             differentiator=values["differentiator"],
             regression=values["regression"],
-            eso_bandwidth=None if math.isnan(bandwidth) else bandwidth,
+            eso_bandwidth=_none_if_nan(bandwidth),
             switch_times_s=tuple(values["switch_times_s"]),
             level_phase_s=values["level_phase_s"],
             initial_rpy=(roll, pitch, yaw),
