@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sins_align.gaps import fill_gaps
 from sins_align.rotation import (
     cross,
     cumulative_rotation,
@@ -30,14 +31,6 @@ from sins_align.types import Array, ImuBlock, ImuSampling, IntArray
 # Stamps closer to a uniform grid than this are treated as uniform.
 _UNIFORM_REL = 1e-6
 _UNIFORM_ABS_S = 2e-9
-# Where so many samples are missing, the noise of the nearest ones must not decide; up to
-# there the four nearest are as good as a fit, and quicker.
-_LONG_GAP = 4
-# Singular values of a fit: one sample before the gap and a stretch after it give 0.02, samples
-# in clusters, which do not tell four coefficients, 2e-4.
-_TOLD = 0.01
-# Bursts of stamps on arrival make a median step that says nothing: no more than 20 kHz.
-_LEAST_STEP_NS = 50_000.0
 # A cubic through nodes of such unequal steps would multiply noise: the straight line does not.
 _UNEVEN = 5.0
 # Gauss-Legendre nodes and weights on [0, 1]: exact to degree 5, and (T - t) times a cubic
@@ -106,63 +99,6 @@ def uniform_step(t: Array) -> float | None:
     step = float(t[-1] - t[0]) / n
     deviation = np.abs(np.diff(t) - step).max()
     return step if deviation <= _UNIFORM_REL * step + _UNIFORM_ABS_S else None
-
-
-def fill_gaps(block: ImuBlock) -> ImuBlock:
-    """The block with lost samples put in, by cubic interpolation of their neighbours.
-
-    A step that is k nominal intervals long gets k - 1 samples. For interval means the
-    running mean is interpolated, which is what a lost sample would have carried.
-    """
-    steps = np.diff(block.stamp_ns)
-    if steps.shape[0] < 2 or 2 * steps.max() < 3 * steps.min():
-        return block
-    nominal = max(float(np.median(steps)), _LEAST_STEP_NS)
-    missing = (np.rint(steps / nominal).astype(np.int64) - 1).clip(min=0)
-    if missing.max() == 0:
-        return block
-    after = np.repeat(np.arange(steps.shape[0]), missing)
-    place = np.concatenate([np.arange(1, m + 1) for m in missing[missing > 0]])
-    share = place / (missing[after] + 1.0)
-    stamps = block.stamp_ns[after] + np.rint(share * steps[after]).astype(np.int64)
-    values = np.concatenate((block.w_ib_b, block.f_ib_b))
-    filled = _interpolate(block.stamp_ns, values, after, stamps)
-    for gap in np.flatnonzero(missing >= _LONG_GAP):
-        inside = slice(*np.searchsorted(after, (gap, gap + 1)))
-        filled[:, inside] = _fit(block.stamp_ns, values, int(gap), stamps[inside])
-    values = np.insert(values, after + 1, filled, axis=1)
-    return ImuBlock(np.insert(block.stamp_ns, after + 1, stamps), values[:3], values[3:])
-
-
-def _fit(stamp_ns: IntArray, values: Array, gap: int, wanted: IntArray) -> Array:
-    """Cubic by least squares through as long a stretch on either side as the gap is long.
-
-    The cubic through the four nearest samples would multiply their noise, and vibration, by
-    the length of the gap in samples.
-    """
-    length = stamp_ns[gap + 1] - stamp_ns[gap]
-    first, end = np.searchsorted(stamp_ns, (stamp_ns[gap] - length, stamp_ns[gap + 1] + length))
-    # Two samples on either side, where there are.
-    near = slice(max(min(first, gap - 1), 0), max(end, gap + 3))
-    middle, scale = stamp_ns[gap] + length // 2, 1.0 / length
-    t = (stamp_ns[near] - middle) * scale
-    mean = values[:, near].mean(axis=1)
-    fit = np.linalg.lstsq(np.vander(t, 4), values[:, near].T - mean, rcond=_TOLD)[0]
-    return (np.vander((wanted - middle) * scale, 4) @ fit + mean).T
-
-
-def _interpolate(stamp_ns: IntArray, values: Array, after: IntArray, wanted: IntArray) -> Array:
-    """Local Lagrange interpolation through up to four samples around `wanted`."""
-    size = min(4, stamp_ns.shape[0])
-    start = np.clip(after - 1, 0, stamp_ns.shape[0] - size)
-    index = start[:, None] + np.arange(size)
-    t = (stamp_ns[index] - wanted[:, None]) * 1e-9
-    weights = np.ones(t.shape)
-    for j in range(size):
-        for m in range(size):
-            if m != j:
-                weights[:, j] *= t[:, m] / (t[:, m] - t[:, j])
-    return np.einsum("anj,nj->an", values[:, index], weights)
 
 
 def rotation_increments(t: Array, w: Array, sampling: ImuSampling, step: float | None) -> Array:
@@ -258,6 +194,73 @@ def integrate_rotation(block: ImuBlock, sampling: ImuSampling) -> Array:
     return cumulative_rotation(quaternion_from_rotation_vector(theta))[:, -1]
 
 
+class _Nodes(NamedTuple):
+    """The integrands at the stamps t (n+1,) of a block.
+
+    step : uniform step [s], None where the stamps are irregular
+    q : (4, n+1) rotation of b to b at the first stamp
+    rows : (12, n+1) C (9), and what sums to u (3): C f at the nodes or, for interval means,
+        its integral over the interval that begins there
+    """
+
+    t: Array
+    step: float | None
+    q: Array
+    rows: Array
+
+    @property
+    def C(self) -> Array:
+        """(3, 3, n+1) as q."""
+        return self.rows[:9].reshape(3, 3, -1)
+
+
+def _rotate_nodes(block: ImuBlock, sampling: ImuSampling) -> _Nodes:
+    t = (block.stamp_ns - block.stamp_ns[0]) * 1e-9
+    step = uniform_step(t)
+    theta = rotation_increments(t, block.w_ib_b, sampling, step)
+    q = cumulative_rotation(quaternion_from_rotation_vector(theta))
+    rows = np.zeros((12, t.shape[0]))
+    C = dcm_from_quaternion(q, out=rows[:9].reshape(3, 3, -1))
+    f = block.f_ib_b
+    if sampling is ImuSampling.MEAN:
+        f = np.zeros_like(f)
+        f[:, :-1] = velocity_increments(t, block.w_ib_b, block.f_ib_b, theta, step)
+    rows[9:] = C[:, 0] * f[0]
+    rows[9:] += C[:, 1] * f[1]
+    rows[9:] += C[:, 2] * f[2]
+    return _Nodes(t, step, q, rows)
+
+
+def integrate_window(
+    block: ImuBlock, sampling: ImuSampling, travelled: Array | None = None
+) -> tuple[Windows, Array | None]:
+    """The integrals over a block as one window, and those over paths travelled in it.
+
+    Parameters
+    ----------
+    travelled : (k, n+1) functions S of time at the block's stamps
+
+    Returns
+    -------
+    the window, and (k, 3, 3) int C dS (trapezoidal rule), None without `travelled`
+    """
+    filled = fill_gaps(block)
+    if travelled is not None and filled is not block:
+        old, new = (s - block.stamp_ns[0] for s in (block.stamp_ns, filled.stamp_ns))
+        travelled = np.stack([np.interp(new, old, S) for S in travelled])
+    nodes = _rotate_nodes(filled, sampling)
+    windows = _sum_windows(nodes, sampling, [0, nodes.t.shape[0] - 1])
+    if travelled is None:
+        return windows, None
+    # int C dS = sum of C_k times half the way between its neighbours.
+    weights = np.empty(travelled.shape)
+    weights[:, 1:-1] = travelled[:, 2:] - travelled[:, :-2]
+    weights[:, 0] = travelled[:, 1] - travelled[:, 0]
+    weights[:, -1] = travelled[:, -1] - travelled[:, -2]
+    paths = (0.5 * weights) @ nodes.rows[:9].T
+    return windows, paths.reshape(-1, 3, 3)
+
+
 def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Windows:
     """The integrals over `count` windows of about equal length.
 
@@ -266,28 +269,19 @@ def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Win
     block : samples of which the first and the last stamp are the ends of the windows
     count : number of windows; fewer where there are not three intervals for each
     """
-    block = fill_gaps(block)
-    t = (block.stamp_ns - block.stamp_ns[0]) * 1e-9
+    nodes = _rotate_nodes(fill_gaps(block), sampling)
+    t = nodes.t
     n = t.shape[0] - 1
-    step = uniform_step(t)
     count = max(1, min(count, n // 3))
     edges = np.searchsorted(t, np.arange(1, count) * (t[-1] / count) - 0.25 * t[-1] / n)
-    edges = np.concatenate(([0], edges, [n]))
-    theta = rotation_increments(t, block.w_ib_b, sampling, step)
-    q = cumulative_rotation(quaternion_from_rotation_vector(theta))
-    # Rows: C (9), and what sums to u (3): C f at the nodes, or its integral over the
-    # interval that begins there.
-    rows = np.zeros((12, n + 1))
-    C = dcm_from_quaternion(q, out=rows[:9].reshape(3, 3, n + 1))
-    f = block.f_ib_b
-    if sampling is ImuSampling.MEAN:
-        f = np.zeros_like(f)
-        f[:, :-1] = velocity_increments(t, block.w_ib_b, block.f_ib_b, theta, step)
-    rows[9:] = C[:, 0] * f[0]
-    rows[9:] += C[:, 1] * f[1]
-    rows[9:] += C[:, 2] * f[2]
+    return _sum_windows(nodes, sampling, [0, *edges.tolist(), n])
+
+
+def _sum_windows(nodes: _Nodes, sampling: ImuSampling, edges: list[int]) -> Windows:
+    t, step, q, rows = nodes
+    count = len(edges) - 1
     sums = np.empty((count, 12, 2))
-    for k, (a, b) in enumerate(pairwise(edges.tolist())):
+    for k, (a, b) in enumerate(pairwise(edges)):
         weights = _node_weights(t[a : b + 1]) if step is None else _unit_weights(b - a)
         if sampling is ImuSampling.MEAN:
             np.matmul(rows[:9, a : b + 1], weights[:, :2], out=sums[k, :9])
@@ -300,7 +294,7 @@ def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Win
         sums[:, 9:] *= powers / step if sampling is ImuSampling.MEAN else powers
     B, BB = sums[:, :9].reshape(count, 3, 3, 2).transpose(3, 0, 1, 2)
     u, s = sums[:, 9:].transpose(2, 0, 1)
-    C_end = C[:, :, edges[1:]].transpose(2, 0, 1)
+    C_end = nodes.C[:, :, edges[1:]].transpose(2, 0, 1)
     return Windows(np.diff(t[edges]), u, s, B, BB, C_end, q[:, -1])
 
 

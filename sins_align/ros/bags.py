@@ -14,7 +14,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -31,37 +30,17 @@ from sins_align.ros.bags_merge import (
     merge,
 )
 from sins_align.ros.bags_open import open_path
+from sins_align.ros.bags_portions import Part, Portion, ReadReport, hand_out
 from sins_align.ros.bags_topics import choose_topic, describe_topics, types_of
 from sins_align.ros.bags_types import typestore_for
-from sins_align.ros.cdr import IMU_ROW, Decoder, ImuDecoder, RawDecoder, Rows
+from sins_align.ros.cdr import Decoder, ImuDecoder, RawDecoder, Rows
 from sins_align.ros.fix import position_from_fix
+from sins_align.ros.odometer import OdometerRecording, odometer_row, odometer_samples
 from sins_align.types import ImuSamples, Position
 
-__all__ = ["Bag", "BagError", "ReadReport", "Topic", "open_bag"]
+__all__ = ["Bag", "BagError", "Part", "Portion", "ReadReport", "Topic", "open_bag"]
 
-_NS = 1_000_000_000
 _PORTION = 50_000  # samples handed out at a time
-_BEYOND_NS = 10 * _NS  # messages are never this late: reading may stop
-
-
-@dataclass
-class ReadReport:
-    """What `Bag.read_imu` has read so far.
-
-    messages : number of samples handed out
-    lost : number of messages known to be missing or undecodable where the bag is damaged
-    first_stamp_ns, last_stamp_ns : header stamps of the first and the last of them [ns]
-    frame_ids : those in the headers
-    read_s : wall time spent on reading [s]
-    """
-
-    topic: str = ""
-    messages: int = 0
-    lost: int = 0
-    first_stamp_ns: int | None = None
-    last_stamp_ns: int | None = None
-    frame_ids: set[str] = field(default_factory=set)
-    read_s: float = 0.0
 
 
 class Bag:
@@ -157,54 +136,56 @@ class Bag:
         ------
         BagError : no message at all, or none in that part
         """
+        for portion in self.read_portions(topic, Part(start_s, duration_s), progress):
+            yield portion.samples
+
+    def read_portions(
+        self, topic: str, part: Part, progress: Callable[[float], None] | None = None
+    ) -> Iterator[Portion]:
+        """As `read_imu`, with the log times."""
         decoder = ImuDecoder(ros1=self._topic(topic).ros1)
         report = self.report = ReadReport(topic, frame_ids=decoder.frame_ids)
-        portion: list[Rows] = []
-        rows = self._select(self._rows(topic, decoder, progress), start_s, duration_s)
+        waiting: list[Rows] = []
         begin = time.perf_counter()
-        for part in rows:
-            portion.append(part)
-            if sum(map(len, portion)) >= _PORTION:
-                samples = _hand_out(portion, report)
+        for rows in part.select(self._rows(topic, decoder, progress)):
+            waiting.append(rows)
+            if sum(map(len, waiting)) >= _PORTION:
+                portion = hand_out(np.concatenate(waiting), report)
                 report.read_s += time.perf_counter() - begin
-                yield samples
+                yield portion
                 begin = time.perf_counter()
-                portion = []
+                waiting = []
         report.lost = decoder.lost
         report.read_s += time.perf_counter() - begin
-        if portion:
-            yield _hand_out(portion, report)
+        if waiting:
+            yield hand_out(np.concatenate(waiting), report)
         if decoder.frames_warning:
             self.warnings.note(topic, decoder.frames_warning)
         if decoder.undecodable:
             self.warnings.note(topic, f"{decoder.undecodable} messages are not sensor_msgs/Imu")
         if not report.messages:
-            part_of_it = " in the part asked for" if start_s or duration_s is not None else ""
+            part_of_it = "" if part.is_whole else " in the part asked for"
             damaged = f", {decoder.lost} are damaged" if decoder.lost else ""
             raise BagError(self._where, f"no messages on {topic}{part_of_it}{damaged}")
 
-    def _select(
-        self, batches: Iterator[Rows], start_s: float, duration_s: float | None
-    ) -> Iterator[Rows]:
-        """The rows with stamps in [start, start + duration) from the first one on."""
-        whole = start_s <= 0.0 and duration_s is None
-        first: int | None = None
-        for rows in batches:
-            if whole:
-                yield rows
-                continue
-            stamp = rows["stamp_ns"]
-            if first is None:
-                first = int(stamp[0])
-            begin = first + round(start_s * _NS)
-            inside = stamp >= begin
-            if duration_s is not None:
-                end = begin + round(duration_s * _NS)
-                inside &= stamp < end
-                if (stamp > end + _BEYOND_NS).all():
-                    return
-            if inside.any():
-                yield rows[inside]
+    def read_odometer(self, topic: str) -> OdometerRecording:
+        """All samples of a topic of one of the types of kind "odom".
+
+        Raises BagError.
+        """
+        begin = time.perf_counter()
+        rows, log_times = [], []
+        for log_time, message in self.read_messages(topic):
+            try:
+                rows.append(odometer_row(message))
+            except AttributeError as error:  # the bag's definition of the type is another one
+                raise BagError(self._where, f"{topic}: {error}") from error
+            log_times.append(log_time)
+        return OdometerRecording(
+            odometer_samples(rows),
+            np.array(log_times, dtype=np.int64),
+            time.perf_counter() - begin,
+        )
 
     def read_messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Log time [ns] and message, deserialised, for topics of any type.
@@ -271,17 +252,3 @@ def open_bag(paths: Sequence[Path]) -> Bag:
     if not paths:
         raise BagError("bag", "no path given")
     return Bag([Path(path) for path in paths])
-
-
-def _hand_out(portion: list[Rows], report: ReadReport) -> ImuSamples:
-    rows = np.concatenate(portion) if portion else np.empty(0, IMU_ROW)
-    stamp_ns = np.ascontiguousarray(rows["stamp_ns"])
-    if report.first_stamp_ns is None:
-        report.first_stamp_ns = int(stamp_ns[0])
-    report.last_stamp_ns = int(stamp_ns[-1])
-    report.messages += len(stamp_ns)
-    return ImuSamples(
-        stamp_ns,
-        np.ascontiguousarray(rows["w_ib_b"].T),
-        np.ascontiguousarray(rows["f_ib_b"].T),
-    )

@@ -1,0 +1,91 @@
+"""One epoch of a moving vehicle's data, integrated: what every aided filter works on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from sins_align.odo.pairing import Paired
+
+from sins_align.increments import integrate_window
+from sins_align.types import Array, ImuSampling
+
+
+class Travel(NamedTuple):
+    """What the odometer says of an epoch.
+
+    M : (3, 3) int C dS [m]: its columns are the displacements, had the vehicle travelled
+        along x, y, z of b, with S the measured distance
+    M_rate : (3, 3) its derivative by the odometer's latency [m/s]
+    distance : over the epoch, negative in reverse [m]
+    speed_start, speed_end : at its ends [m/s]
+    variance : of the distance, beyond the noise that is declared [m^2]
+    """
+
+    M: Array
+    M_rate: Array
+    distance: float
+    speed_start: float
+    speed_end: float
+    variance: float
+
+
+class AidedEpoch(NamedTuple):
+    """Integrals over an epoch, in the axes of b at its start, frozen in inertial space.
+
+    stamp_ns : end of the epoch; duration_s : its length
+    C_end, q_end : (3, 3), (4,) rotation of b at the end to b at the start
+    u, s : (3,) int C f dt, int int C f dt dt [m/s], [m]
+    B, BB : (3, 3) int C dt, int int C dt dt [s], [s^2]
+    unrest : largest deviations of rate and specific force from their means in the epoch
+        [rad/s], [m/s^2]
+    travel : None where there is no odometer for all of the epoch
+    """
+
+    stamp_ns: int
+    duration_s: float
+    C_end: Array
+    q_end: Array
+    u: Array
+    s: Array
+    B: Array
+    BB: Array
+    unrest: tuple[float, float]
+    travel: Travel | None
+
+
+def integrate_epoch(paired: Paired, sampling: ImuSampling) -> AidedEpoch:
+    """The integrals over the samples of one epoch."""
+    block = paired.block
+    travelled = None
+    if paired.distance is not None and paired.speed is not None:
+        travelled = np.stack((paired.distance, paired.speed))
+    windows, paths = integrate_window(block, sampling, travelled)
+    travel = None
+    if travelled is not None and paths is not None:
+        distance, speed = travelled
+        travel = Travel(
+            M=paths[0],
+            M_rate=paths[1],
+            distance=float(distance[-1] - distance[0]),
+            speed_start=float(speed[0]),
+            speed_end=float(speed[-1]),
+            variance=paired.variance,
+        )
+    return AidedEpoch(
+        stamp_ns=int(block.stamp_ns[-1]),
+        duration_s=float(windows.duration_s[0]),
+        C_end=windows.C_end[0],
+        q_end=windows.q_end,
+        u=windows.u[0],
+        s=windows.s[0],
+        B=windows.B[0],
+        BB=windows.BB[0],
+        unrest=(_spread(block.w_ib_b[:, 1:]), _spread(block.f_ib_b[:, 1:])),
+        travel=travel,
+    )
+
+
+def _spread(values: Array) -> float:
+    """Root of the sum of the variances of the three axes."""
+    return float(np.sqrt(values.var(axis=1).sum()))
