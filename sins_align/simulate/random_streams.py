@@ -22,6 +22,18 @@ _PURPOSES = (
     "gyro_drift",
     "losses",
     "jitter",
+    "vehicle_heading",
+    "vehicle_ground",
+    "vehicle_route",
+    "vehicle_road",
+    "vehicle_direction",
+    "vehicle_standing",
+    "odometer_phase",
+    "odometer_scale",
+    "odometer_noise",
+    "odometer_slip",
+    "odometer_outliers",
+    "odometer_jitter",
 )
 
 

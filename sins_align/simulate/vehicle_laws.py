@@ -6,7 +6,7 @@ Values with their derivatives are stacked: row k of a (K, N) array is the k-th d
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
@@ -21,77 +21,67 @@ class SmoothLevels:
     """A quantity that stays at levels and passes smoothly from one to the next.
 
     The passages are polynomials of degree 9, with four derivatives zero at both ends.
+    `LevelPlan` builds them.
 
     begin : (K,) where the passages begin, ascending; a passage ends before the next begins
     length : (K,) how long they are
     level : (K+1,) the levels; before the first passage level[0], after the last level[-1]
+    integral : (K,) of the quantity from 0 to `begin`
     """
 
     begin: Array
     length: Array
     level: Array
-    _origin: float = field(init=False, repr=False)
-    _start: Array = field(init=False, repr=False)
-    _integral: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        # A passage in front that changes nothing serves what lies before the first one.
-        first = min(0.0, float(self.begin[0])) if self.begin.size else 0.0
-        start = np.concatenate(([first - 1.0], self.begin))
-        length = np.concatenate(([1.0], self.length))
-        level = np.concatenate((self.level[:1], self.level))
-        piece = level[:-1] * 0.5 * length + level[1:] * (np.diff(start, append=0.0) - 0.5 * length)
-        integral = np.concatenate(([0.0], np.cumsum(piece[:-1])))
-        object.__setattr__(self, "length", length)
-        object.__setattr__(self, "level", level)
-        object.__setattr__(self, "_start", start)
-        object.__setattr__(self, "_integral", integral)
-        object.__setattr__(self, "_origin", 0.0)
-        object.__setattr__(self, "_origin", float(self(np.zeros(1))[0, 0]))
+    integral: Array
 
     def __call__(self, x: Array) -> Rows:
         """(5, N) integral from 0, value and three derivatives at x (N,)."""
-        index = np.maximum(np.searchsorted(self._start, x, side="right") - 1, 0)
+        index = np.maximum(np.searchsorted(self.begin, x, side="right") - 1, 0)
         length, low = self.length[index], self.level[index]
         rise = self.level[index + 1] - low
-        since = x - self._start[index]
+        since = x - self.begin[index]
         u = np.clip(since / length, 0.0, 1.0)
-        rest = u * (1.0 - u)
-        skew = 1.0 - 2.0 * u
+        rest, skew = u * (1.0 - u), 1.0 - 2.0 * u
+        value = u**5 * (126.0 + u * (-420.0 + u * (540.0 + u * (-315.0 + 70.0 * u))))
         area = u**6 * (21.0 + u * (-60.0 + u * (67.5 + u * (-35.0 + 7.0 * u))))
-        after = np.maximum(since - length, 0.0)
-        rows = np.empty((5, x.size))
-        rows[0] = self._integral[index] + low * since + rise * (length * area + after)
-        rows[0] -= self._origin
-        rows[1] = low + rise * u**5 * (126.0 + u * (-420.0 + u * (540.0 + u * (-315.0 + 70.0 * u))))
-        rows[2] = rise / length * 630.0 * rest**4
-        rows[3] = rise / length**2 * 2520.0 * rest**3 * skew
-        rows[4] = rise / length**3 * 2520.0 * rest**2 * (3.0 * skew**2 - 2.0 * rest)
-        # The polynomial reaches 1 but for rounding; levels are exact.
-        rows[1] = np.where(u == 1.0, self.level[index + 1], rows[1])
-        return rows
+        area = length * area + np.maximum(since - length, 0.0)
+        return np.stack(
+            (
+                self.integral[index] + low * since + rise * area,
+                low + rise * value,
+                rise / length * 630.0 * rest**4,
+                rise / length**2 * 2520.0 * rest**3 * skew,
+                rise / length**3 * 2520.0 * rest**2 * (3.0 * skew**2 - 2.0 * rest),
+            )
+        )
 
     def absolute(self) -> SmoothLevels:
         """The magnitude; a law that changes its sign must pass through a level 0 for that."""
-        return SmoothLevels(self.begin, self.length[1:], np.abs(self.level[1:]))
+        plan = LevelPlan(abs(float(self.level[0])))
+        for begin, length, level in zip(
+            self.begin[1:], self.length[1:], self.level[2:], strict=True
+        ):
+            plan.hold(float(begin) - plan.position)
+            plan.change(abs(float(level)), float(length))
+        return plan.law()
 
 
-@dataclass
 class LevelPlan:
-    """Builds `SmoothLevels` piece by piece, keeping count of where it is.
+    """Builds `SmoothLevels` piece by piece from 0 on, keeping count of where it is.
 
-    position : end of the plan so far; integral: of the quantity up to there
+    level : at the end of the plan so far
+    position : that end; integral : of the quantity up to there
     """
 
-    level: float
-    position: float = 0.0
-    integral: float = 0.0
-    _begin: list[float] = field(default_factory=list)
-    _length: list[float] = field(default_factory=list)
-    _levels: list[float] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self._levels.append(self.level)
+    def __init__(self, level: float) -> None:
+        # A passage that changes nothing serves what lies before the first one.
+        self.level = level
+        self.position, self.integral = -1.0, -level
+        self._begin: list[float] = []
+        self._length: list[float] = []
+        self._level = [level]
+        self._integral: list[float] = []
+        self.change(level, 1.0)
 
     def hold(self, length: float) -> None:
         """Stay at the level."""
@@ -102,14 +92,20 @@ class LevelPlan:
         """Pass to another level."""
         self._begin.append(self.position)
         self._length.append(length)
-        self._levels.append(level)
+        self._level.append(level)
+        self._integral.append(self.integral)
         self.position += length
         self.integral += 0.5 * (self.level + level) * length
         self.level = level
 
     def law(self) -> SmoothLevels:
         """The plan as a function; its last level lasts for ever."""
-        return SmoothLevels(np.array(self._begin), np.array(self._length), np.array(self._levels))
+        return SmoothLevels(
+            np.array(self._begin),
+            np.array(self._length),
+            np.array(self._level),
+            np.array(self._integral),
+        )
 
 
 @dataclass(frozen=True, eq=False)
