@@ -9,12 +9,9 @@ from collections.abc import Sequence
 # Small matrices: threads cost more than they bring. It counts before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from geometry_msgs.msg import PoseWithCovarianceStamped
-
 from sins_align.config import swing_config
 from sins_align.ros.diagnostics import lever_arm_texts
-from sins_align.ros.messages import lever_arm_message
-from sins_align.ros.node_base import LATCHED_QOS, AlignNode
+from sins_align.ros.node_base import AlignNode
 from sins_align.ros.run_node import run_node, spin_aligner
 from sins_align.session import Session
 from sins_align.types import Estimate
@@ -26,14 +23,7 @@ class SwingAlignNode(AlignNode):
     """Adds the lever arm to what all alignment nodes do."""
 
     def __init__(self) -> None:
-        super().__init__(NAME, lambda values: Session(swing_config(values)))
-        self._lever_arm = self.create_output(PoseWithCovarianceStamped, "~/lever_arm", LATCHED_QOS)
-
-    def publish_update(self, estimate: Estimate, frame_id: str) -> None:
-        """Publish the lever arm."""
-        if estimate.lever_arm is not None:
-            message = lever_arm_message(estimate.stamp_ns, estimate.lever_arm, frame_id)
-            self.send(self._lever_arm, message)
+        super().__init__(NAME, lambda values: Session(swing_config(values)), "lever_arm")
 
     def diagnostic_texts(self, estimate: Estimate | None) -> dict[str, str]:
         """The keys of the lever arm."""

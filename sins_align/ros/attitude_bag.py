@@ -1,24 +1,22 @@
-"""aligned.mcap: the attitude and the lever arm of a replay, as the live node publishes them."""
+"""aligned.mcap: attitude and lever arm or mounting of a replay, as the live node publishes them."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sins_align.ros.bags_write import BagWriter
+from sins_align.ros.portable_messages import Types, pose_message
+from sins_align.ros.pose import latched_poses
 from sins_align.ros.replay import AttitudeRecord, Replay
-from sins_align.types import Array, ImuSamples, LeverArm
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
-
-_NS = 1_000_000_000
+from sins_align.types import Array, ImuSamples
 
 
 def write_attitude_bag(path: Path, replay: Replay, node: str, frame_id: str) -> None:
-    """Write /NODE/attitude and /NODE/lever_arm to a bare MCAP file, in place of an older one.
+    """Write /NODE/attitude and /NODE/lever_arm or /NODE/mounting to a bare MCAP file.
+
+    An older one is replaced.
 
     Raises
     ------
@@ -37,9 +35,11 @@ def write_attitude_bag(path: Path, replay: Replay, node: str, frame_id: str) -> 
         types = _types()
         for update in replay.updates:
             estimate = update.estimate
-            if estimate is not None and estimate.lever_arm is not None:
-                message = _lever_arm(types, estimate.stamp_ns, estimate.lever_arm, frame_id)
-                bag.write(f"/{node}/lever_arm", estimate.stamp_ns, message)
+            if estimate is None:
+                continue
+            for name, pose in latched_poses(estimate).items():
+                message = pose_message(types, estimate.stamp_ns, frame_id, pose)
+                bag.write(f"/{node}/{name}", estimate.stamp_ns, message)
     temporary.replace(path)
 
 
@@ -57,26 +57,7 @@ def _columns(records: list[AttitudeRecord]) -> tuple[ImuSamples, Array, Array]:
     )
 
 
-def _types() -> dict[str, Any]:
+def _types() -> Types:
     from rosbags.typesys import Stores, get_typestore
 
-    store: Typestore = get_typestore(Stores.ROS2_JAZZY)
-    return dict(store.types)
-
-
-def _lever_arm(types: dict[str, Any], stamp_ns: int, lever_arm: LeverArm, frame_id: str) -> Any:
-    seconds, nanoseconds = divmod(stamp_ns, _NS)
-    x, y, z = lever_arm.r_b.tolist()
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = lever_arm.covariance
-    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    return types["geometry_msgs/msg/PoseWithCovarianceStamped"](
-        header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id),
-        pose=types["geometry_msgs/msg/PoseWithCovariance"](
-            pose=types["geometry_msgs/msg/Pose"](
-                position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
-                orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-            ),
-            covariance=covariance.ravel(),
-        ),
-    )
+    return get_typestore(Stores.ROS2_JAZZY).types.__getitem__

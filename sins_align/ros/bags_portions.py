@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sins_align.ros.cdr import Rows
+from sins_align.ros.cdr import Rows, imu_samples
 from sins_align.types import ImuSamples, IntArray
 
 _NS = 1_000_000_000
@@ -89,14 +89,9 @@ class Part:
 
 def hand_out(rows: Rows, report: ReadReport) -> Portion:
     """The rows as samples; the report is brought up to date."""
-    stamp_ns = np.ascontiguousarray(rows["stamp_ns"])
+    samples = imu_samples(rows)
     if report.first_stamp_ns is None:
-        report.first_stamp_ns = int(stamp_ns[0])
-    report.last_stamp_ns = int(stamp_ns[-1])
-    report.messages += len(stamp_ns)
-    samples = ImuSamples(
-        stamp_ns,
-        np.ascontiguousarray(rows["w_ib_b"].T),
-        np.ascontiguousarray(rows["f_ib_b"].T),
-    )
+        report.first_stamp_ns = int(samples.stamp_ns[0])
+    report.last_stamp_ns = int(samples.stamp_ns[-1])
+    report.messages += len(samples)
     return Portion(samples, np.ascontiguousarray(rows["log_time"]))

@@ -15,12 +15,17 @@ KINDS = {
         "nav_msgs/msg/Odometry",
     ),
 }
-"""The kinds of topics of topics, with their message types."""
+"""The kinds of topics, with their message types."""
 
 
 def types_of(kind: str) -> tuple[str, ...]:
     """Message types of a kind; a message type stands for itself."""
     return KINDS.get(kind, (kind,))
+
+
+def odometer_type(odom_type: str) -> str:
+    """The message type that a value of parameter `odom_type` stands for."""
+    return next(name for name in KINDS["odom"] if name.endswith(f"/{odom_type}"))
 
 
 def choose_topic(topics: Iterable[Topic], kind: str, requested: str | None) -> Topic:

@@ -18,7 +18,9 @@ import numpy as np
 
 from sins_align.ros.bags_merge import BagError
 from sins_align.ros.cdr import encode_imu
-from sins_align.types import Array, ImuSamples, Position
+from sins_align.ros.odometer import odometer_rows
+from sins_align.ros.portable_messages import odometer_message
+from sins_align.types import Array, ImuSamples, IntArray, OdometerSamples, Position
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -143,6 +145,20 @@ class BagWriter:
             position_covariance_type=0,
         )
         self.write(topic, stamp_ns, fix)
+
+    def write_odometer(
+        self,
+        samples: OdometerSamples,
+        log_time: IntArray,
+        message_type: str,
+        *,
+        topic: str = "/odom",
+        frame_id: str = "base_link",
+    ) -> None:
+        """Write samples, logged at (N,) [ns], as a message type of kind "odom"."""
+        types = self._store.types.__getitem__
+        for time, row in zip(log_time.tolist(), odometer_rows(samples), strict=True):
+            self.write(topic, time, odometer_message(types, message_type, row, frame_id))
 
     def _connection(self, topic: str, kind: str) -> Connection:
         key = (topic, kind)

@@ -149,6 +149,15 @@ class ImuDecoder:
             self.frame_ids.add(frame.tobytes().rstrip(b"\0").decode(errors="replace"))
 
 
+def imu_samples(rows: Rows) -> ImuSamples:
+    """The samples in rows of dtype `IMU_ROW`."""
+    return ImuSamples(
+        np.ascontiguousarray(rows["stamp_ns"]),
+        np.ascontiguousarray(rows["w_ib_b"].T),
+        np.ascontiguousarray(rows["f_ib_b"].T),
+    )
+
+
 def doubles_offset(length: int, *, ros1: bool = False) -> int:
     """Where the 37 doubles of an Imu payload begin [bytes].
 

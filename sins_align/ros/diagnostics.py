@@ -12,6 +12,9 @@ from sins_align.units import ARCMIN
 
 UNKNOWN = "unknown"
 SILENT_REMEDY = "check that the IMU publishes on topic imu, and its QoS"
+ODOMETER_KEYS = (
+    "odometer_scale_error", "odometer_scale_sigma", "odometer_latency_s", "odometer_latency_sigma_s"
+)  # fmt: skip
 _AXES = ("x", "y", "z")
 
 
@@ -23,7 +26,11 @@ def number_text(value: float | None, digits: int = 3) -> str:
 
 
 def diagnostic_status(
-    session: Session, name: str, silent_s: float | None, estimate: Estimate | None
+    session: Session,
+    name: str,
+    silent_s: float | None,
+    estimate: Estimate | None,
+    remedy: str = "",
 ) -> DiagnosticStatus:
     """Level, message and the keys that every node has.
 
@@ -33,6 +40,7 @@ def diagnostic_status(
     name : of the node, with its namespace
     silent_s : how long no usable IMU sample has come [s]; None: they do come
     estimate : of the session
+    remedy : of something that only the node knows of; it comes before those of the session
     """
     status = session.status
     level, message = _level(status, silent_s)
@@ -42,7 +50,7 @@ def diagnostic_status(
     texts = {
         "state": status.state.value,
         "reason": message if level != DiagnosticStatus.OK else "",
-        "remedy": status.remedy or (SILENT_REMEDY if silent_s is not None else ""),
+        "remedy": remedy or status.remedy or (SILENT_REMEDY if silent_s is not None else ""),
         "elapsed_s": number_text(status.elapsed_s),
         "sigma_east_arcmin": number_text(sigma[0], 4),
         "sigma_north_arcmin": number_text(sigma[1], 4),
@@ -81,6 +89,17 @@ def lever_arm_texts(estimate: Estimate | None) -> dict[str, str]:
         texts[f"lever_{axis}_m"] = number_text(value, 6)
         texts[f"lever_{axis}_sigma_m"] = number_text(sigma, 6)
     return texts
+
+
+def odometer_texts(estimate: Estimate | None) -> dict[str, str]:
+    """The keys of the odometer."""
+    odometer = None if estimate is None else estimate.odometer
+    if odometer is None:
+        return dict.fromkeys(ODOMETER_KEYS, UNKNOWN)
+    numbers = (
+        odometer.scale_error, odometer.scale_sigma, odometer.latency_s, odometer.latency_sigma_s
+    )  # fmt: skip
+    return {key: number_text(x, 6) for key, x in zip(ODOMETER_KEYS, numbers, strict=True)}
 
 
 def _level(status: Status, silent_s: float | None) -> tuple[bytes, str]:

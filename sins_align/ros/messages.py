@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Quaternion
 from sensor_msgs.msg import Imu, NavSatFix, NavSatStatus
 from std_msgs.msg import Header
 
-from sins_align.types import Array, Estimate, LeverArm, Position
+from sins_align.types import Array, Estimate, Position
 from sins_align.units import DEG
 
 _NS = 1_000_000_000
@@ -54,19 +54,6 @@ def misalignment_message(estimate: Estimate, nav_frame: str) -> PoseWithCovarian
     message.pose.pose.orientation = _quaternion(estimate.q_nb)
     covariance = np.zeros((6, 6))
     covariance[3:, 3:] = estimate.misalignment_covariance
-    message.pose.covariance = covariance.ravel()
-    return message
-
-
-def lever_arm_message(
-    stamp_ns: int, lever_arm: LeverArm, frame_id: str
-) -> PoseWithCovarianceStamped:
-    """Position and position block: swing centre to IMU in the IMU's axes [m], [m^2]."""
-    message = PoseWithCovarianceStamped(header=header_message(stamp_ns, frame_id))
-    _set_vector(message.pose.pose.position, lever_arm.r_b)
-    message.pose.pose.orientation.w = 1.0
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = lever_arm.covariance
     message.pose.covariance = covariance.ravel()
     return message
 

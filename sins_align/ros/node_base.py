@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -19,20 +17,23 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from sins_align.parameters import parameters_of
 from sins_align.ros import messages
-from sins_align.ros.cdr import ImuDecoder, pack_payloads
 from sins_align.ros.command import error_text
 from sins_align.ros.diagnostics import diagnostic_status, key_values
 from sins_align.ros.fix import position_from_fix
+from sins_align.ros.imu_inbox import ImuInbox, SilenceWatch
 from sins_align.ros.node_parameters import declare_parameters
+from sins_align.ros.portable_messages import pose_message, ros_types
+from sins_align.ros.pose import latched_poses
 from sins_align.ros.publish_grid import PublishGrid, find_sample
 from sins_align.ros.result import Timing, check_target, result_document, write_result
-from sins_align.session import Session
+from sins_align.session import Session, Update
 from sins_align.types import Estimate, ImuSamples, State, Status
 
 RCLError = rclpy_implementation.RCLError
@@ -44,10 +45,6 @@ LATCHED_QOS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 OUTPUT_QOS = QoSProfile(depth=25)
 
 FLUSH_S = 0.1  # no sample waits longer for the next one
-SILENT_S = 2.0  # without usable data: an error
-
-_STAMP = (struct.Struct(">iI"), struct.Struct("<iI"))  # by the last bit of the encapsulation
-_NS = 1_000_000_000
 
 
 class AlignNode(Node):
@@ -61,6 +58,7 @@ class AlignNode(Node):
     ----------
     node_name : its parameters are those of the table for this name
     make_session : from the parameter values
+    pose_topic : what is published latched beside the attitude, a name of `latched_poses`
 
     Raises
     ------
@@ -68,10 +66,17 @@ class AlignNode(Node):
     OSError : the result file could not be written; names it
     """
 
-    def __init__(self, node_name: str, make_session: Callable[[dict[str, Any]], Session]) -> None:
+    def __init__(
+        self,
+        node_name: str,
+        make_session: Callable[[dict[str, Any]], Session],
+        pose_topic: str,
+    ) -> None:
         super().__init__(node_name, automatically_declare_parameters_from_overrides=True)
         self._kind = node_name  # the node itself may have been given another name
+        self._pose_topic = pose_topic
         values: dict[str, Any] = declare_parameters(self, parameters_of(node_name))
+        self.values = values
         self.executor_kind: str = values["executor"]
         self._nav_frame: str = values["nav_frame"]
         self._result_file: str = values["result_file"]
@@ -79,14 +84,12 @@ class AlignNode(Node):
             check_target(Path(self._result_file))
         self.session = make_session(values)
         self._grid = PublishGrid(values["publish_rate_hz"])
-        self._payloads: list[bytes] = []
-        self._decoder = ImuDecoder()
-        self._frame_id = ""
+        self._inbox = ImuInbox()
         self._frames_warned = False
         self._published_ns = 0
         self._begun = time.monotonic()
         self._estimate_s = 0.0
-        self._usable = (0, self._begun)  # accepted samples, and since when no more
+        self._silence = SilenceWatch()
         self._logged_state = self.session.status.state
         self._logged_restarts = 0
         self._aligned = False
@@ -105,10 +108,28 @@ class AlignNode(Node):
             event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
         )
 
+    def create_input(
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        *,
+        raw: bool = False,
+    ) -> Subscription:
+        """A subscription whose QoS parameters can override."""
+        options = QoSOverridingOptions.with_default_policies()
+        return self.create_subscription(
+            message_type, topic, callback, qos, raw=raw, qos_overriding_options=options
+        )
+
     def _create_outputs(self) -> None:
         self._attitude = self.create_output(Imu, "~/attitude", OUTPUT_QOS)
         self._misalignment = self.create_output(
             PoseWithCovarianceStamped, "~/misalignment", OUTPUT_QOS
+        )
+        self._pose = self.create_output(
+            PoseWithCovarianceStamped, f"~/{self._pose_topic}", LATCHED_QOS
         )
         self._aligned_publisher = self.create_output(Bool, "~/aligned", LATCHED_QOS)
         self._diagnostics = self.create_output(DiagnosticArray, "/diagnostics", OUTPUT_QOS)
@@ -116,14 +137,8 @@ class AlignNode(Node):
         self._aligned_publisher.publish(Bool(data=False))
 
     def _create_inputs(self) -> None:
-        self.create_subscription(
-            Imu, "imu", self._on_imu, IMU_QOS, raw=True,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )  # fmt: skip
-        self.create_subscription(
-            NavSatFix, "fix", self._on_fix, FIX_QOS,
-            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-        )  # fmt: skip
+        self.create_input(Imu, "imu", self._on_imu, IMU_QOS, raw=True)
+        self.create_input(NavSatFix, "fix", self._on_fix, FIX_QOS)
         self.create_service(Trigger, "~/restart", self._on_restart)
         self.create_service(Trigger, "~/save", self._on_save)
         wall = Clock(clock_type=ClockType.STEADY_TIME)  # also when the time of the data stands
@@ -138,56 +153,53 @@ class AlignNode(Node):
             if self.context.ok():
                 raise
 
-    def publish_update(self, estimate: Estimate, frame_id: str) -> None:
-        """Publish what changes from block to block. Nothing here; for a node's own topics."""
+    def take_in_aiding(self) -> list[Update]:
+        """Hand over what has come beside the IMU. Nothing here; for a node's own inputs."""
+        return []
+
+    def input_remedy(self) -> str:
+        """What is to be done about an input of the node's own; '' if nothing."""
+        return ""
 
     def diagnostic_texts(self, estimate: Estimate | None) -> dict[str, str]:
         """Keys of the diagnostics that only this node has. None here."""
         return {}
 
     def _on_imu(self, payload: bytes) -> None:
-        # At a kilohertz every line here counts.
-        self._payloads.append(payload)
-        seconds, nanoseconds = _STAMP[payload[1] & 1].unpack_from(payload, 4)
-        if self._grid.reached(seconds * _NS + nanoseconds):
+        if self._grid.reached(self._inbox.put(payload)):
             samples = self._flush()
             if samples is not None:
                 self._publish_attitude(samples)
 
     def _flush(self) -> ImuSamples | None:
-        """Hand what has come to the session; None where nothing has."""
-        if not self._payloads:
-            return None
-        payloads, self._payloads = self._payloads, []
-        buffer, offset, size = pack_payloads(payloads)
-        rows = self._decoder(buffer, offset, size, np.zeros_like(offset))
-        if not len(rows):
-            return None
-        samples = ImuSamples(
-            np.ascontiguousarray(rows["stamp_ns"]),
-            np.ascontiguousarray(rows["w_ib_b"].T),
-            np.ascontiguousarray(rows["f_ib_b"].T),
-        )
+        """Hand what has come to the session; the IMU samples of it, None where there are none."""
+        samples = self._inbox.take()
         self._look_at_frames()
         begin = time.perf_counter()
-        updates = self.session.add_imu(samples)
+        updates = self.take_in_aiding()
+        if samples is not None:
+            updates += self.session.add_imu(samples)
         self._estimate_s += time.perf_counter() - begin
         for update in updates:
             if update.estimate is not None:
-                self.publish_update(update.estimate, self._frame_id)
+                self._publish_pose(update.estimate)
             self._announce(update.status)
         self._announce(self.session.status)  # a restart is no update
-        self.send(self._processed, messages.time_message(int(samples.stamp_ns[-1])))
+        if samples is not None:
+            self.send(self._processed, messages.time_message(int(samples.stamp_ns[-1])))
         return samples
 
+    def _publish_pose(self, estimate: Estimate) -> None:
+        pose = latched_poses(estimate).get(self._pose_topic)
+        if pose is not None:
+            message = pose_message(ros_types, estimate.stamp_ns, self._inbox.frame_id, pose)
+            self.send(self._pose, message)
+
     def _look_at_frames(self) -> None:
-        """Take the first frame_id that there is, and warn of a second one."""
-        frames = self._decoder.frame_ids
-        if not self._frame_id and frames:
-            self._frame_id = min(frames)
-        if len(frames) > 1 and not self._frames_warned:
+        """Warn, once, of a second frame_id."""
+        if self._inbox.frames_warning and not self._frames_warned:
             self._frames_warned = True
-            self.get_logger().warning(f"topic imu: {self._decoder.frames_warning}")
+            self.get_logger().warning(f"topic imu: {self._inbox.frames_warning}")
 
     def _announce(self, status: Status) -> None:
         """Log a change of state, and publish one of `aligned`."""
@@ -218,7 +230,7 @@ class AlignNode(Node):
         if sample is None:
             return
         self._published_ns = estimate.stamp_ns
-        attitude = messages.attitude_message(estimate, *sample, self._frame_id)
+        attitude = messages.attitude_message(estimate, *sample, self._inbox.frame_id)
         self.send(self._attitude, attitude)
         misalignment = messages.misalignment_message(estimate, self._nav_frame)
         self.send(self._misalignment, misalignment)
@@ -269,20 +281,12 @@ class AlignNode(Node):
         self._flush()
         self._save()
 
-    def _silent_s(self) -> float | None:
-        """For how long no usable sample has come [s]; None while they come."""
-        now = time.monotonic()
-        count = self.session.counts.imu_samples
-        if count != self._usable[0]:
-            self._usable = (count, now)
-        silent = now - self._usable[1]
-        return silent if count == 0 or silent > SILENT_S else None
-
     def _publish_diagnostics(self) -> None:
         self._flush()
         estimate = self.session.estimate
         name = self.get_fully_qualified_name().lstrip("/")  # two nodes may differ in no more
-        status = diagnostic_status(self.session, name, self._silent_s(), estimate)
+        silent_s = self._silence.silent_s(self.session.counts)
+        status = diagnostic_status(self.session, name, silent_s, estimate, self.input_remedy())
         status.values += key_values(self.diagnostic_texts(estimate))
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

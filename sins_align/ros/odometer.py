@@ -56,3 +56,9 @@ def odometer_samples(rows: Sequence[OdometerRow]) -> OdometerSamples:
     variance: Array = np.fromiter((row.variance for row in rows), np.float64, count)
     stamp_ns: IntArray = np.fromiter((row.stamp_ns for row in rows), np.int64, count)
     return OdometerSamples(stamp_ns, speed, variance)
+
+
+def odometer_rows(samples: OdometerSamples) -> list[OdometerRow]:
+    """The samples one by one."""
+    columns = (column.tolist() for column in samples)
+    return [OdometerRow(*row) for row in zip(*columns, strict=True)]
