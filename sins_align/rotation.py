@@ -51,6 +51,19 @@ def cross(a: Array, b: Array) -> Array:
     return product
 
 
+def cross3(a: Array, b: Array) -> Array:
+    """a x b of two vectors (3,): for these, plain numbers are quicker than any array."""
+    ax, ay, az = a.tolist()
+    bx, by, bz = b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
+def skew3(v: Array) -> Array:
+    """`skew` of one vector (3,), quicker."""
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
 def exp_rotation(phi: Array) -> Array:
     """C = Exp([phi x]), Rodrigues; phi (3,) [rad], result (3, 3)."""
     x, y, z = phi.tolist()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from sins_align.odo.pairing import Paired
+if TYPE_CHECKING:
+    from sins_align.odo.pairing import Paired
 
 from sins_align.increments import integrate_window
 from sins_align.types import Array, ImuSampling

@@ -157,12 +157,13 @@ def integrate_track(
     count = back + forth + 1
     begin = -back * _STEP
     grid = begin + _STEP * np.arange(count)
-    node_times: Array = grid[:-1, np.newaxis] + 0.5 * _STEP * (1.0 + _NODES)
+    part: Array = 0.5 * (1.0 + np.asarray(_NODES, dtype=np.float64))
+    node_times = grid[:-1, np.newaxis] + _STEP * part
     at_nodes = motion.kinematics(node_times.ravel())
     at_grid = motion.kinematics(grid)
     values = np.repeat(np.array(start)[:, np.newaxis], count, axis=1)
     rates = np.zeros((3, count))
-    index = (np.arange(count - 1)[:, np.newaxis] + 0.5 * (1.0 + _NODES)).ravel()
+    index = (np.arange(count - 1)[:, np.newaxis] + part).ravel()
     for _ in range(4):
         node_rates = _rates(at_nodes, lever_arm_b, Place(*_interpolate(values, rates, index)))
         pieces = _STEP * 0.5 * (node_rates.reshape(3, -1, _WEIGHTS.size) @ _WEIGHTS)

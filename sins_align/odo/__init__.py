@@ -1,0 +1,1 @@
+"""Alignment of a moving vehicle, aided by an odometer."""

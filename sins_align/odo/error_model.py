@@ -1,0 +1,128 @@
+"""Error model of the wander-azimuth mechanisation over one epoch.
+
+With C_ab computed = (I - [phi x]) C_ab true, all other errors estimate minus truth, those of
+the sensors what is left in the corrected samples:
+
+    dphi/dt = -w_ia x phi + dw_ie + dw_ea - C_ab (eps + kappa r)
+    ddv/dt  = f x phi + C_ab nabla - w_2 x dv + v x (2 dw_ie + dw_ea)
+    dd/dt   = dv                               (d: the path's error since the epoch began)
+
+eps, nabla: biases of gyros and accelerometers; kappa: the gyros' response to the rate r of
+turning about the vertical; dw_ie = Omega (de_x, de_y, 0): the Earth's axis; dw_ea = up x
+dv / R. The integrals of f and of C over the epoch are known, so that the transition has a
+closed form; what it leaves out is below 1e-4 of each block. docs/odo.md derives it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
+from sins_align.odo.epoch import AidedEpoch
+from sins_align.odo.layout import (
+    ACCEL_BIAS,
+    AZIMUTH,
+    EXTENDED,
+    GYRO_BIAS,
+    GYRO_TURN,
+    PATH,
+    PHI,
+    SIZE,
+    VELOCITY,
+)
+from sins_align.odo.navigation import Course
+from sins_align.rotation import skew3
+from sins_align.types import Array
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """White noise and random walks of the IMU.
+
+    gyro [rad/sqrt(s)], accel [m/s/sqrt(s)], gyro_walk [rad/s/sqrt(s)]
+    """
+
+    gyro: float
+    accel: float
+    gyro_walk: float
+
+
+class ErrorModel:
+    """Transition and noise of the navigation errors."""
+
+    def __init__(self, noise: ImuNoise) -> None:
+        self._noise = noise
+        self._transition = np.zeros((EXTENDED, SIZE))
+        self._transition[:SIZE, :SIZE] = np.eye(SIZE)
+        self._noise_duration = 0.0
+        self._noise_9 = np.zeros((9, 9))
+
+    def transition(self, epoch: AidedEpoch, course: Course, azimuth: Array, rate: float) -> Array:
+        """(EXTENDED, SIZE): the state at the end of the epoch, with d, from that at its start.
+
+        Only the blocks of the navigation errors are filled in; the array is used again for
+        the next epoch.
+
+        Parameters
+        ----------
+        azimuth : (2, 2) error of the horizontal part of e_a by the azimuth states
+        rate : r, mean over the epoch [rad/s]
+        """
+        A, T, C = self._transition, epoch.duration_s, course.C_start
+        force = skew3(course.U / T)
+        CB, CBB = C @ epoch.B, C @ epoch.BB
+        axis = EARTH_RATE * azimuth
+        A[PHI, PHI] = np.eye(3) - T * skew3(course.w_ia)
+        A[0, 4], A[1, 3] = -T / course.radius, T / course.radius
+        A[:2, AZIMUTH] = T * axis
+        A[PHI, GYRO_BIAS] = -CB
+        A[VELOCITY, PHI] = skew3(course.U)
+        A[VELOCITY, VELOCITY] = np.eye(3) - T * skew3(course.w_2)
+        delayed = skew3(T * course.U - course.S + 2.0 * course.path)
+        A[VELOCITY, AZIMUTH] = delayed[:, :2] @ axis
+        A[VELOCITY, GYRO_BIAS] = -force @ CBB
+        A[VELOCITY, ACCEL_BIAS] = CB
+        A[PATH, PHI] = skew3(course.S)
+        A[PATH, VELOCITY] = T * np.eye(3)
+        A[PATH, AZIMUTH] = force[:, :2] @ ((T**3 / 6.0) * axis)
+        A[PATH, GYRO_BIAS] = (-T * T / 6.0) * (force @ CB)
+        A[PATH, ACCEL_BIAS] = CBB
+        for rows in (PHI, VELOCITY, PATH):
+            A[rows, GYRO_TURN] = rate * A[rows, GYRO_BIAS]
+        return A
+
+    def add_noise(self, P: Array, duration: float) -> None:
+        """Add the IMU's noise of an epoch to the extended covariance P, in place."""
+        if duration != self._noise_duration:
+            self._noise_9 = white_noise(self._noise, duration)
+            self._noise_duration = duration
+        Q = self._noise_9
+        P[:6, :6] += Q[:6, :6]
+        P[:6, PATH] += Q[:6, 6:]
+        P[PATH, :6] += Q[6:, :6]
+        P[PATH, PATH] += Q[6:, 6:]
+        walk = self._noise.gyro_walk**2 * duration
+        P[range(GYRO_BIAS.start, GYRO_BIAS.stop), range(GYRO_BIAS.start, GYRO_BIAS.stop)] += walk
+
+
+def white_noise(noise: ImuNoise, duration: float) -> Array:
+    """(9, 9) covariance of phi, dv and d from the IMU's white noise over a time [s].
+
+    The force is that of gravity: vehicles do not accelerate enough to matter here.
+    """
+    T = duration
+    F = skew3(np.array([0.0, 0.0, GRAVITY_EQUATOR]))
+    eye, FF = np.eye(3), F @ F.T
+    q, a = noise.gyro**2, noise.accel**2
+    Q = np.empty((9, 9))
+    Q[:3, :3] = q * T * eye
+    Q[3:6, :3] = q * T**2 / 2.0 * F
+    Q[6:, :3] = q * T**3 / 6.0 * F
+    Q[3:6, 3:6] = q * T**3 / 3.0 * FF + a * T * eye
+    Q[6:, 3:6] = q * T**4 / 8.0 * FF + a * T**2 / 2.0 * eye
+    Q[6:, 6:] = q * T**5 / 20.0 * FF + a * T**3 / 3.0 * eye
+    upper = np.triu_indices(9, 1)
+    Q[upper] = Q.T[upper]
+    return Q

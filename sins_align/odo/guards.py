@@ -1,0 +1,78 @@
+"""Guards of a measurement update: implausible innovations, and a scale that jumped."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from sins_align.types import Array
+
+# 99 % of chi-square with three degrees of freedom.
+SOFT_LIMIT = 11.3
+# The test for a jump of the scale.
+JUMP_EPOCHS = 5
+JUMP_LEAST_DISTANCE = 1.0  # [m] of an epoch that counts
+JUMP_LEAST_RATIO = 30.0
+JUMP_GREATEST = 0.08
+JUMP_AGREEMENT = 0.5
+JUMP_SHARE = 0.7
+
+
+def soften(nis: float) -> float:
+    """Factor on R for an innovation of that normalised square: (NIS / 11.3)^2 beyond 11.3.
+
+    An outlier loses its weight, but is never shut out: a hard gate would lock the filter out
+    once it was wrong.
+    """
+    return (nis / SOFT_LIMIT) ** 2 if nis > SOFT_LIMIT else 1.0
+
+
+class _Vote(NamedTuple):
+    a: float  # h' S^-1 h
+    b: float  # h' S^-1 nu
+    nis: float
+
+
+class ScaleJump:
+    """Tells a jump of the scale from other causes of large innovations.
+
+    With h = dz/dK, a = h' S^-1 h and b = h' S^-1 nu, the most likely jump of the last epochs
+    is delta = sum b / sum a, and twice the logarithm of its likelihood ratio (sum b)^2 / sum
+    a. It is believed when it explains most of the innovations and every epoch alone says
+    about the same.
+    """
+
+    def __init__(self) -> None:
+        self._votes: deque[_Vote] = deque(maxlen=JUMP_EPOCHS)
+
+    def test(self, h: Array, S_inverse: Array, innovation: Array, distance: float) -> float | None:
+        """The jump that the last epochs tell of, None where there is none.
+
+        Parameters
+        ----------
+        h : (3,) innovation by the scale error; S_inverse : (3, 3); innovation : (3,)
+        distance : travelled in the epoch [m]
+        """
+        if abs(distance) < JUMP_LEAST_DISTANCE:
+            return None
+        weighted = S_inverse @ innovation
+        self._votes.append(
+            _Vote(float(h @ S_inverse @ h), float(h @ weighted), float(innovation @ weighted))
+        )
+        if len(self._votes) < JUMP_EPOCHS:
+            return None
+        a, b, nis = np.array(self._votes).T
+        jump = float(b.sum() / a.sum())
+        ratio = float(b.sum()) ** 2 / float(a.sum())
+        agree = np.abs(b / a - jump) <= JUMP_AGREEMENT * abs(jump)
+        if (
+            ratio > JUMP_LEAST_RATIO
+            and abs(jump) < JUMP_GREATEST
+            and bool(agree.all())
+            and ratio > JUMP_SHARE * float(nis.sum())
+        ):
+            self._votes.clear()
+            return jump
+        return None

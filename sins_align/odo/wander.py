@@ -1,0 +1,284 @@
+"""The wander-azimuth filters: closed-loop Kalman filters without a heading to begin with.
+
+`wander_kf` has the errors of both horizontal components of the Earth's axis as states, those
+of cos L sin alpha and cos L cos alpha: the model is linear whatever the azimuth is.
+`wander_ekf` has one, that of alpha itself, and is linearised about the estimate. When the
+azimuth is known well, `wander_kf` becomes that small-angle model too: the length of the
+components, which is cos L, is then imposed for good. Zhao and Qi; docs/odo.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sins_align.earth import GRAVITY_EQUATOR
+from sins_align.grades import ImuGrade
+from sins_align.odo.azimuth import Azimuth, find_azimuth
+from sins_align.odo.epoch import AidedEpoch
+from sins_align.odo.error_model import ErrorModel, ImuNoise
+from sins_align.odo.guards import ScaleJump, soften
+from sins_align.odo.layout import (
+    ACCEL_BIAS,
+    AZIMUTH,
+    EXTENDED,
+    GYRO_BIAS,
+    GYRO_TURN,
+    ODOMETER,
+    PATH,
+    PHI,
+    SIZE,
+    VELOCITY,
+)
+from sins_align.odo.navigation import WanderNavigation
+from sins_align.odo.odometer_model import POSITION as ODO_POSITION
+from sins_align.odo.odometer_model import SCALE, Displacement, OdometerModel
+from sins_align.rotation import exp_rotation, skew3, unskew
+from sins_align.types import Array
+
+# Sum of the variances of sin and cos from which on their circle is imposed: earlier it
+# costs 14 deg for good, as it is a curve and not a line.
+HAND_OVER_VARIANCE = 1e-5
+LEAST_COS_LATITUDE = 1e-6
+CONSISTENCY_MEMORY = 0.95  # per epoch
+# These stand for sensors that claim to have no noise.
+LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
+LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
+
+_ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
+_SCALE = ODOMETER.start + SCALE
+POSITION = slice(ODOMETER.start + ODO_POSITION.start, ODOMETER.start + ODO_POSITION.stop)
+
+
+class Attitude(NamedTuple):
+    """Attitude in ENU.
+
+    C_nb : (3, 3); covariance : (3, 3) of phi, axes east, north, up [rad^2]
+    """
+
+    C_nb: Array
+    covariance: Array
+
+
+class WanderFilter:
+    """The state of a wander-azimuth filter, from the start of an epoch on.
+
+    navigation, odometer : the estimates; P : (SIZE, SIZE) covariance of their errors
+    gyro_bias, accel_bias, gyro_turn : (3,) estimated [rad/s], [m/s^2], [1]
+    one_azimuth : whether the azimuth is one state (small-angle model) or two
+    consistency : mean normalised innovation squared over its expectation, of late
+
+    Parameters
+    ----------
+    level_sigma, velocity_sigma : 1 sigma of the navigation's start [rad], [m/s]
+    azimuth_sigma : 1 sigma of the azimuth of the navigation's e_a [rad]; None: unknown
+    """
+
+    def __init__(
+        self,
+        navigation: WanderNavigation,
+        odometer: OdometerModel,
+        grade: ImuGrade,
+        level_sigma: float,
+        velocity_sigma: float,
+        azimuth_sigma: float | None = None,
+    ) -> None:
+        self.navigation = navigation
+        self.odometer = odometer
+        self.gyro_bias, self.accel_bias, self.gyro_turn = np.zeros((3, 3))
+        self.one_azimuth = azimuth_sigma is not None
+        self.consistency = math.nan
+        self._cos_latitude = max(math.cos(navigation.latitude), LEAST_COS_LATITUDE)
+        self._model = ErrorModel(imu_noise(grade))
+        self._jump = ScaleJump()
+        up_b = navigation.C_ab[2]
+        variance = np.zeros(SIZE)
+        variance[0:2] = level_sigma**2
+        variance[VELOCITY] = velocity_sigma**2
+        if azimuth_sigma is None:
+            variance[AZIMUTH] = 0.5 * self._cos_latitude**2
+        else:
+            variance[AZIMUTH] = azimuth_sigma**2, 0.0
+        variance[GYRO_BIAS], variance[GYRO_TURN] = gyro_variances(grade, up_b)
+        variance[ACCEL_BIAS] = accel_variance(grade, up_b)
+        variance[ODOMETER] = odometer.prior_variance()
+        self.P = np.diag(variance)
+
+    def process(self, epoch: AidedEpoch, standing: bool) -> None:
+        """Take in an epoch; the biases must have been taken off its samples.
+
+        With neither travel nor standing the errors grow, and nothing is measured.
+        """
+        navigation, odometer, T = self.navigation, self.odometer, epoch.duration_s
+        C_start = navigation.C_ab
+        rate = float(C_start[2] @ unskew(epoch.C_end)) / T
+        position = C_start @ (odometer.C_bm @ odometer.x[ODO_POSITION])
+        course = navigation.advance(epoch)
+        C_end = navigation.C_ab
+        factor, added = odometer.advance(T, standing)
+        A = self._model.transition(epoch, course, self._azimuth_basis(), rate)
+        A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
+        A[PATH, POSITION] = -C_start @ odometer.C_bm
+        P = A @ self.P @ A.T
+        self._model.add_noise(P, T)
+        P[_ODOMETER_INDEX, _ODOMETER_INDEX] += added
+        axes = C_end @ odometer.C_bm
+        position_noise = axes * added[ODO_POSITION]
+        P[PATH, POSITION] += position_noise
+        P[POSITION, PATH] += position_noise.T
+        P[PATH, PATH] += position_noise @ axes.T
+        if standing or epoch.travel is not None:
+            turn = course.w_ia * T
+            seen = odometer.measure(epoch, C_start, C_end, course.path, turn, standing)
+            self._update(P, seen, seen.residual - position, epoch)
+        else:
+            self.P = P[:SIZE, :SIZE].copy()
+
+    def _update(self, P: Array, seen: Displacement, innovation: Array, epoch: AidedEpoch) -> None:
+        """Kalman update of the extended covariance, with the guards; feeds the state back."""
+        H = np.zeros((3, EXTENDED))
+        H[:, PHI] = skew3(seen.arm)
+        H[:, ODOMETER] = seen.H
+        H[:, PATH] = np.eye(3)
+        PH = P @ H.T
+        S = H @ PH
+        distance = 0.0 if epoch.travel is None else epoch.travel.distance
+        inverse = np.linalg.inv(S + seen.R)
+        jump = self._jump.test(seen.H[:, SCALE], inverse, innovation, distance)
+        if jump is not None:
+            # The inflation goes where the mismatch is.
+            P[_SCALE, :] = P[:, _SCALE] = 0.0
+            P[_SCALE, _SCALE] = jump * jump
+            PH = P @ H.T
+            S = H @ PH
+            inverse = np.linalg.inv(S + seen.R)
+        nis = float(innovation @ inverse @ innovation)
+        self._note(nis)
+        factor = soften(nis)
+        if factor > 1.0:
+            inverse = np.linalg.inv(S + factor * seen.R)
+        # P - K S K' as a square: it stays symmetric.
+        gain = PH[:SIZE] @ inverse
+        self.P = P[:SIZE, :SIZE] - gain @ PH[:SIZE].T
+        self.P = 0.5 * (self.P + self.P.T)
+        self._correct(gain @ innovation)
+
+    def _note(self, nis: float) -> None:
+        share = nis / 3.0
+        if math.isnan(self.consistency):
+            self.consistency = share
+        self.consistency += (1.0 - CONSISTENCY_MEMORY) * (share - self.consistency)
+
+    def _correct(self, dx: Array) -> None:
+        """Take estimated errors (SIZE,) off the estimates."""
+        navigation = self.navigation
+        C = exp_rotation(dx[PHI]) @ navigation.C_ab
+        navigation.C_ab = C @ (1.5 * np.eye(3) - 0.5 * (C.T @ C))  # stays orthogonal
+        navigation.v_a = navigation.v_a - dx[VELOCITY]
+        e = navigation.e_a.copy()
+        if self.one_azimuth:
+            alpha = math.atan2(e[0], e[1]) - float(dx[AZIMUTH.start])
+            length = math.sqrt(max(1.0 - float(e[2]) ** 2, 0.0))
+            e[:2] = length * math.sin(alpha), length * math.cos(alpha)
+        else:
+            e[:2] -= dx[AZIMUTH]
+        navigation.e_a = e
+        # These errors are what is left in the samples: true minus estimated.
+        self.gyro_bias = self.gyro_bias + dx[GYRO_BIAS]
+        self.accel_bias = self.accel_bias + dx[ACCEL_BIAS]
+        self.gyro_turn = self.gyro_turn + dx[GYRO_TURN]
+        self.odometer.x = self.odometer.x - dx[ODOMETER]
+        if not self.one_azimuth:
+            variance = self.P[AZIMUTH, AZIMUTH].trace()
+            if variance < HAND_OVER_VARIANCE * self._cos_latitude**2:
+                self._hand_over()
+
+    def _azimuth_basis(self) -> Array:
+        """(2, 2) error of the horizontal part of e_a by the azimuth states."""
+        if not self.one_azimuth:
+            return np.eye(2)
+        ex, ey, _ = self.navigation.e_a.tolist()
+        return np.array([[ey, 0.0], [-ex, 0.0]])
+
+    def azimuth(self) -> Azimuth:
+        """The azimuth, given that the Earth's axis has the length that it has."""
+        e = self.navigation.e_a
+        if self.one_azimuth:
+            sigma = math.sqrt(max(float(self.P[6, 6]), 0.0))
+            alpha = math.atan2(e[0], e[1])
+            return Azimuth(alpha, sigma, e[:2].copy(), np.array([e[1], -e[0]]))
+        return find_azimuth(e[:2], self.P[AZIMUTH, AZIMUTH], self._cos_latitude)
+
+    def _conditioned(self, azimuth: Azimuth) -> tuple[Array, Array, Array]:
+        """The errors once the azimuth is on its circle.
+
+        Returns
+        -------
+        (SIZE,) their mean, (SIZE,) what an error of the azimuth does to them, and (SIZE,
+        SIZE) the covariance of the rest
+        """
+        if self.one_azimuth:
+            variance = max(float(self.P[6, 6]), 1e-300)
+            column = self.P[:, 6] / variance
+            return np.zeros(SIZE), column, self.P - variance * np.outer(column, column)
+        gain = np.linalg.solve(self.P[AZIMUTH, AZIMUTH], self.P[AZIMUTH, :]).T
+        mean = gain @ (self.navigation.e_a[:2] - azimuth.e_h)
+        return mean, gain @ azimuth.tangent, self.P - gain @ self.P[AZIMUTH, :]
+
+    def _hand_over(self) -> None:
+        """Go on with one azimuth state; the attitude given out does not change by it."""
+        azimuth = self.azimuth()
+        mean, column, rest = self._conditioned(azimuth)
+        self.one_azimuth = True
+        mean[AZIMUTH] = 0.0
+        self.navigation.e_a[:2] = azimuth.e_h
+        self._correct(mean)
+        column[AZIMUTH] = 1.0, 0.0
+        rest[AZIMUTH, :] = rest[:, AZIMUTH] = 0.0
+        self.P = rest + azimuth.sigma**2 * np.outer(column, column)
+
+    def attitude(self) -> Attitude:
+        """C_nb = Rz(alpha) C_ab at the end of the last epoch.
+
+        phi_n = Rz(alpha) phi - up dalpha: an azimuth too large turns counter-clockwise.
+        """
+        azimuth = self.azimuth()
+        mean, column, rest = self._conditioned(azimuth)
+        s, c = math.sin(azimuth.alpha), math.cos(azimuth.alpha)
+        C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        C_ab = exp_rotation(mean[PHI]) @ self.navigation.C_ab
+        turn = C_na @ column[PHI]
+        turn[2] -= 1.0
+        covariance = C_na @ rest[PHI, PHI] @ C_na.T + azimuth.sigma**2 * np.outer(turn, turn)
+        return Attitude(C_na @ C_ab, 0.5 * (covariance + covariance.T))
+
+
+def imu_noise(grade: ImuGrade) -> ImuNoise:
+    """White noise of a grade; the drift of the biases as a random walk."""
+    walk = grade.gyro_bias_instability * math.sqrt(2.0 / grade.gyro_bias_correlation_s)
+    return ImuNoise(
+        max(grade.gyro_arw, LEAST_GYRO_NOISE), max(grade.accel_vrw, LEAST_ACCEL_NOISE), walk
+    )
+
+
+def gyro_variances(grade: ImuGrade, up_b: Array) -> tuple[Array, Array]:
+    """(3,), (3,) variances of the bias [rad^2/s^2] and of the response to turning about up.
+
+    Vehicles turn about the vertical: of the nine scale errors and misalignments only their
+    combination by it matters.
+    """
+    bias = grade.gyro_bias**2 + grade.gyro_bias_instability**2
+    return np.full(3, max(bias, 1e-30)), _triad_variance(grade.gyro_scale, grade.misalignment, up_b)
+
+
+def accel_variance(grade: ImuGrade, up_b: Array) -> Array:
+    """(3,) of bias and, as gravity is nearly all there is, scale errors and misalignments."""
+    triad = _triad_variance(grade.accel_scale, grade.misalignment, up_b)
+    return grade.accel_bias**2 + GRAVITY_EQUATOR**2 * triad
+
+
+def _triad_variance(scale: float, misalignment: float, up_b: Array) -> Array:
+    square = up_b * up_b
+    return scale**2 * square + misalignment**2 * (1.0 - square)
