@@ -173,9 +173,7 @@ def _is_hole(stamps: IntArray, place: int) -> bool:
 
 
 def _copy(samples: OdometerSamples) -> OdometerSamples:
-    return OdometerSamples(
-        samples.stamp_ns.copy(), samples.speed.copy(), samples.variance.copy()
-    )
+    return OdometerSamples(samples.stamp_ns.copy(), samples.speed.copy(), samples.variance.copy())
 
 
 def _join(parts: list[OdometerSamples]) -> OdometerSamples:

@@ -1,0 +1,179 @@
+"""IMU and odometer brought together by stamp, in epochs of about a second."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from sins_align.config import OdometerConfig
+from sins_align.odo.track import SAME_S, OdometerTrack
+from sins_align.types import Array, ImuBlock, IntArray, OdometerSamples
+
+EPOCH_S = 1.0
+EPOCH_NS = 1_000_000_000
+# An epoch ends at an odometer sample where there is one so long after its begin.
+LEAST_EPOCH_S, GREATEST_EPOCH_S = 0.7, 1.6
+# An epoch has so many intervals of the IMU at least.
+LEAST_INTERVALS = 2
+# Knots before the epoch that are kept, for a delay that is estimated anew.
+MARGIN_S = 5.0
+
+
+class Paired(NamedTuple):
+    """An epoch.
+
+    block : both end samples included; begins at the last stamp of the epoch before
+    distance, speed : (n+1,) S(t) and its derivative at the block's stamps, by the vehicle's
+        time [m], [m/s]; only differences of S mean something. None where the odometer does
+        not tell for the whole epoch
+    variance : of the displacement, as far as the samples tell theirs, and of bridged holes
+        [m^2]
+    """
+
+    block: ImuBlock
+    distance: Array | None
+    speed: Array | None
+    variance: float
+
+
+class Pairing:
+    """Cuts the IMU's stream into epochs that end at odometer samples, where there are any.
+
+    An epoch ends at the knot of the track nearest to a second after its begin, and is cut as
+    soon as all samples are there that can change it. The IMU waits for `timeout_s` after that
+    second, and no less than for the longest epoch. What comes out does not depend on how many
+    samples come in one call, nor, within that time, on which of the two sensors is ahead.
+
+    config : None: no odometer
+    """
+
+    def __init__(self, config: OdometerConfig | None) -> None:
+        self._track = OdometerTrack(config.quantum) if config is not None else None
+        timeout = 0.0 if config is None else config.timeout_s
+        self._patience_ns = round(max(EPOCH_S + timeout, GREATEST_EPOCH_S) * 1e9)
+        self._parts: list[ImuBlock] = []
+        self._stamp_ns: IntArray = np.empty(0, dtype=np.int64)
+        self._values: Array = np.empty((6, 0))  # w, f
+
+    @property
+    def track(self) -> OdometerTrack | None:
+        """The odometer's track, with what was found out about it; None without odometer."""
+        return self._track
+
+    @property
+    def quantum(self) -> float:
+        """Distance of one count of the odometer [m], 0 where it is not known."""
+        return 0.0 if self._track is None else self._track.quantum
+
+    def add_imu(self, block: ImuBlock) -> None:
+        """Take in a block; it begins at the last stamp of the one before."""
+        self._parts.append(block)
+
+    def add_odometer(self, samples: OdometerSamples) -> None:
+        """Take in samples as `OdometerIntake` gives them; they may be ahead or behind."""
+        if self._track is not None:
+            self._track.add(samples)
+
+    def pending_block(self) -> ImuBlock | None:
+        """The IMU samples since the last epoch's end, which is the first of them."""
+        self._gather()
+        return self._cut(self._stamp_ns.shape[0] - 1) if self._stamp_ns.shape[0] else None
+
+    def next(self, delay_s: float) -> Paired | None:
+        """The next epoch, None until it is there.
+
+        delay_s : by how much the odometer's stamps are late: what it says at stamp t + delay
+            is what the vehicle did at t
+        """
+        self._gather()
+        stamps = self._stamp_ns
+        if stamps.shape[0] <= LEAST_INTERVALS or stamps[-1] - stamps[0] < EPOCH_NS:
+            return None
+        if self._track is None or self._track.origin_ns is None:
+            # A track without a sample makes the IMU wait like one without an end.
+            waits = self._track is not None and stamps[-1] - stamps[0] < self._patience_ns
+            return None if waits else self._finish(self._nearest_to_second(), None)
+        return self._pair(self._track, delay_s)
+
+    def _pair(self, track: OdometerTrack, delay_s: float) -> Paired | None:
+        stamps = self._stamp_ns
+        t = track.times(stamps) + delay_s
+        begin = float(t[0])
+        track.drop_before(begin - MARGIN_S)
+        track.settle()
+        overdue = bool(stamps[-1] - stamps[0] >= self._patience_ns)
+        if overdue:
+            track.settle(begin + GREATEST_EPOCH_S)
+        knot, known = _find_knot(track, begin)
+        if not known and not overdue:
+            return None
+        if knot is None:
+            return self._finish(self._nearest_to_second(), None)
+        at = float(track.knots[knot])
+        if t[-1] < at - SAME_S:
+            return None
+        if track.begins_at(knot):
+            # From the first stamp on of which the track tells.
+            return self._finish(int(t.searchsorted(at - SAME_S)), None)
+        return self._finish(int(t.searchsorted(at + SAME_S, side="right")) - 1, t)
+
+    def _finish(self, end: int, t: Array | None) -> Paired:
+        """The epoch that ends at the IMU's sample `end`; t: odometer's time of the samples."""
+        if end < LEAST_INTERVALS:
+            end, t = LEAST_INTERVALS, None
+        block = self._cut(end)
+        self._stamp_ns = self._stamp_ns[end:]
+        self._values = self._values[:, end:]
+        if t is None or self._track is None:
+            return Paired(block, None, None, 0.0)
+        stretch = self._track.read(t[: end + 1])
+        if stretch is None:
+            return Paired(block, None, None, 0.0)
+        return Paired(block, *stretch)
+
+    def _cut(self, end: int) -> ImuBlock:
+        # Copies, laid out alike however the samples came: bits depend on that.
+        values = self._values[:, : end + 1].copy()
+        return ImuBlock(self._stamp_ns[: end + 1].copy(), values[:3], values[3:])
+
+    def _nearest_to_second(self) -> int:
+        """Index of the IMU sample nearest to a second after the epoch's begin."""
+        stamps = self._stamp_ns
+        wanted = stamps[0] + EPOCH_NS
+        after = int(stamps.searchsorted(wanted))
+        return after if stamps[after] - wanted < wanted - stamps[after - 1] else after - 1
+
+    def _gather(self) -> None:
+        if not self._parts:
+            return
+        skip = 1 if self._stamp_ns.shape[0] else 0
+        stamps, values = [self._stamp_ns], [self._values]
+        for block in self._parts:
+            stamps.append(block.stamp_ns[skip:])
+            values.append(np.concatenate((block.w_ib_b[:, skip:], block.f_ib_b[:, skip:])))
+            skip = 1
+        self._stamp_ns = np.concatenate(stamps)
+        self._values = np.concatenate(values, axis=1)
+        self._parts = []
+
+
+def _find_knot(track: OdometerTrack, begin: float) -> tuple[int | None, bool]:
+    """Index of the knot at which an epoch ends, and whether later samples cannot change it.
+
+    begin : of the epoch, in the track's time [s]. No index: there is no knot in time.
+    """
+    knots = track.knots
+    wanted = begin + EPOCH_S
+    after = int(knots.searchsorted(wanted))
+    size = knots.shape[0]
+    near = [
+        (abs(float(knots[k]) - wanted), k)
+        for k in (after - 1, after)
+        if 0 <= k < size and begin + LEAST_EPOCH_S <= knots[k] <= begin + GREATEST_EPOCH_S
+    ]
+    if not near:
+        return None, after < size
+    knot = min(near)[1]
+    # The slope at a knot needs the interval after it.
+    return knot, after < size and knot + 1 < size
