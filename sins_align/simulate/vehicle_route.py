@@ -95,14 +95,22 @@ class _Draft:
 
 
 def _circle(draft: _Draft) -> None:
-    draft.curvature = LevelPlan(draft.sign() / draft.random(80.0, 100.0))
+    """Steer into a circle, and hold it as a driver does: the radius wavers.
+
+    On a perfect one a wheel that is off by some centimetres sideways could not be told from
+    a scale error, ever.
+    """
+    sign, plan = draft.sign(), draft.curvature
+    while plan.position < draft.speed.integral:
+        plan.change(sign / draft.random(75.0, 105.0), 25.0)
+        plan.hold(draft.random(30.0, 120.0))
 
 
 def _ring(draft: _Draft) -> None:
-    _circle(draft)
     draft.speed.hold(3.0)
     draft.speed.change(10.0, 10.0)
     draft.vary(8.0, 12.0, draft.end)
+    _circle(draft)
 
 
 def _figure8(draft: _Draft) -> None:
@@ -135,7 +143,6 @@ def _static(draft: _Draft) -> None:
 
 
 def _reverse(draft: _Draft) -> None:
-    _circle(draft)
     draft.speed.hold(3.0)
     while draft.speed.position < draft.end:
         begin = draft.speed.position
@@ -147,6 +154,7 @@ def _reverse(draft: _Draft) -> None:
         draft.speed.hold(48.0)
         draft.speed.change(0.0, 6.0)
         draft.speed.hold(draft.random(4.0, 8.0))
+    _circle(draft)
 
 
 def _moving_start(draft: _Draft) -> None:
