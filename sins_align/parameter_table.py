@@ -226,7 +226,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     ),
     _odo(
         "odometer_noise_m",
-        [0.006, 0.004, 0.004],
+        [0.002, 0.0015, 0.0015],
         "noise of the displacement over an epoch (about 1 s), forward, lateral, up, 1 sigma",
         low=1e-5,
         high=100.0,
@@ -234,7 +234,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     ),
     _odo(
         "odometer_noise_per_m",
-        [0.0005, 0.0015, 0.002],
+        [0.0003, 0.0005, 0.0007],
         "what it grows by with the distance travelled in the epoch",
         low=0.0,
         high=1.0,
@@ -242,7 +242,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     ),
     _odo(
         "odometer_direction_sigma_deg",
-        0.05,
+        0.1,
         "slow part of the direction of travel against the vehicle's axis, lateral and up, 1 sigma",
         low=0.0,
         high=10.0,

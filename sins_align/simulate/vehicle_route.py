@@ -39,9 +39,14 @@ class Route:
 
 @dataclass
 class _Draft:
-    """A route being planned; the stream decides, `end` [s] is how far it must reach."""
+    """A route being planned; `end` [s] is how far it must reach.
+
+    The streams decide: one for what happens when, one for what happens where. A longer drive
+    draws more of both and must not mix them.
+    """
 
     stream: Generator
+    course_stream: Generator
     end: float
     speed: LevelPlan
     curvature: LevelPlan
@@ -100,10 +105,11 @@ def _circle(draft: _Draft) -> None:
     On a perfect one a wheel that is off by some centimetres sideways could not be told from
     a scale error, ever.
     """
-    sign, plan = draft.sign(), draft.curvature
+    stream, plan = draft.course_stream, draft.curvature
+    sign = 1.0 if stream.random() < 0.5 else -1.0
     while plan.position < draft.speed.integral:
-        plan.change(sign / draft.random(75.0, 105.0), 25.0)
-        plan.hold(draft.random(30.0, 120.0))
+        plan.change(sign / stream.uniform(75.0, 105.0), 25.0)
+        plan.hold(stream.uniform(30.0, 120.0))
 
 
 def _ring(draft: _Draft) -> None:
@@ -189,12 +195,15 @@ _KINDS: Mapping[str, _Kind] = MappingProxyType(
 VEHICLE_SCENARIOS: tuple[str, ...] = tuple(_KINDS)
 
 
-def plan_route(scenario: str, duration_s: float, stream: Generator) -> Route:
+def plan_route(scenario: str, duration_s: float, streams: Mapping[str, Generator]) -> Route:
     """The route of a scenario of `VEHICLE_SCENARIOS`; a longer one only goes on further."""
+    stream = streams["vehicle_route"]
     kind = _KINDS[scenario]
     slope = _waves(kind.slope_deg, 250.0, 900.0, stream)
     wander = _waves(kind.wander_deg, 200.0, 600.0, stream)
-    draft = _Draft(stream, duration_s + 10.0, LevelPlan(0.0), LevelPlan(0.0))
+    draft = _Draft(
+        stream, streams["vehicle_course"], duration_s + 10.0, LevelPlan(0.0), LevelPlan(0.0)
+    )
     kind.plan(draft)
     ground = LevelPlan(1.0)
     ground.hold(5.0)
