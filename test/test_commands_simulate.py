@@ -14,10 +14,17 @@ pytest.importorskip("rosbags")
 
 from sins_align.ros import simulate_command
 from sins_align.ros.bags import open_bag
-from sins_align.ros.simulation_options import SIMULATION_PARAMETERS, swing_options
-from sins_align.simulate import SwingOptions, simulate_swing
+from sins_align.ros.simulation_options import SIMULATIONS
+from sins_align.simulate import (
+    SwingOptions,
+    VehicleOptions,
+    simulate_swing,
+    simulate_vehicle,
+)
 
 SHORT = ["swing", "--rate", "50", "--duration", "3"]
+SHORT_ODO = ["odo", "--scenario", "moving_start", "--rate", "50", "--duration", "20"]
+ODOM_TYPES = ("TwistStamped", "TwistWithCovarianceStamped", "Odometry")
 
 
 @pytest.fixture
@@ -54,19 +61,74 @@ def test_bag_and_truth(simulate: Any, tmp_path: Path) -> None:
     assert json.loads((out / "truth.json").read_text()) == expected.truth.truth_dict()
 
 
-def test_every_setting_of_the_simulator_is_an_option() -> None:
-    defaults = {name: entry.default for name, entry in SIMULATION_PARAMETERS.items()}
-    options = swing_options(defaults)
-    assert dataclasses.replace(options, grade="paper_swing") == SwingOptions()
-    # The stamp of the first sample has no option.
-    assert len(defaults) == len(dataclasses.fields(SwingOptions)) - 1
+@pytest.mark.parametrize("odom_type", ODOM_TYPES)
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_bag_of_a_vehicle(simulate: Any, tmp_path: Path, odom_type: str, storage: str) -> None:
+    out = tmp_path / "bag"
+    options = [
+        "--seed", 3, "--odometer-rate-hz", 7, "--odometer-report-variance", "--storage", storage,
+        "--odometer-latency", 0.3, "--dropouts", 4, 2, 9, 1.5, "--scale-step", 8, 0.02,
+        "--mounting-rpy-deg", 0, -0.3, 0.3, "--odom-type", odom_type,
+    ]  # fmt: skip
+    status, _, complaint = simulate(*SHORT_ODO, *options, "--out", out)
+    assert (status, complaint) == (0, "")
+    expected = simulate_vehicle(
+        VehicleOptions(
+            scenario="moving_start", seed=3, rate_hz=50.0, duration_s=20.0,
+            odometer_rate_hz=7.0, odometer_report_variance=True, odometer_latency_s=0.3,
+            dropouts=((4.0, 2.0), (9.0, 1.5)), scale_step=(8.0, 0.02),
+            mounting_rpy_deg=(0.0, -0.3, 0.3),
+        )
+    )  # fmt: skip
+    with open_bag([out]) as bag:
+        (imu,) = bag.read_imu("/imu")
+        topic = bag.find_topic("odom")
+        recording = bag.read_odometer(topic.name)
+        assert bag.read_fix("/fix") is not None
+    assert (topic.name, topic.type.rpartition("/")[2]) == ("/odom", odom_type)
+    for found, made in zip(imu, expected.imu, strict=True):
+        np.testing.assert_array_equal(found, made)
+    stamp_ns, speed, variance = expected.odometer
+    np.testing.assert_array_equal(recording.samples.stamp_ns, stamp_ns)
+    np.testing.assert_array_equal(recording.log_time, stamp_ns)
+    np.testing.assert_array_equal(recording.samples.speed, speed)
+    known = 0.0 if odom_type == "TwistStamped" else variance
+    np.testing.assert_array_equal(recording.samples.variance, known)
+    assert (variance > 0.0).all() and 60 < len(recording.samples) < 7 * 20 - 7 * 3.5 + 2
+    truth = json.loads((out / "truth.json").read_text())
+    assert truth == expected.truth.truth_dict()
+    assert truth["odometer_latency_s"] == 0.3
+
+
+@pytest.mark.parametrize(
+    ("kind", "defaults", "without"),
+    [
+        ("swing", SwingOptions(grade="rlg"), {"start_stamp_ns"}),
+        ("odo", VehicleOptions(), {"start_stamp_ns"}),
+    ],
+)
+def test_every_setting_of_the_simulator_is_an_option(
+    kind: str, defaults: Any, without: set[str]
+) -> None:
+    simulation = SIMULATIONS[kind]
+    values = {name: entry.default for name, entry in simulation.parameters.items()}
+    assert simulation.options(values) == defaults
+    fields = {field.name for field in dataclasses.fields(defaults)}
+    assert set(simulation.table) == fields - without
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         ([], "required"),
-        (["odo", "--out", "OUT"], "odo"),
+        (["fly", "--out", "OUT"], "fly"),
+        ([*SHORT_ODO, "--out", "OUT", "--scenario", "pitch"], "figure8"),
+        ([*SHORT_ODO, "--out", "OUT", "--odom-type", "Twist"], "TwistWithCovarianceStamped"),
+        ([*SHORT_ODO, "--out", "OUT", "--dropouts", "1", "2", "3"], "dropouts"),
+        ([*SHORT_ODO, "--out", "OUT", "--stuck", "1", "-2"], "stuck"),
+        ([*SHORT_ODO, "--out", "OUT", "--odometer-clock-drift", "1"], "odometer_clock_drift"),
+        ([*SHORT_ODO, "--out", "OUT", "--latitude-deg", "89.96"], "latitude_deg"),
+        ([*SHORT_ODO, "--out", "OUT", "--outlier-fraction", "2"], "outlier_fraction"),
         (["swing"], "--out"),
         ([*SHORT, "--out", "OUT", "--scenario", "storm"], "pitch, erect"),
         ([*SHORT, "--out", "OUT", "--grade", "gold"], "tactical"),

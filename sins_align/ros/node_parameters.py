@@ -10,10 +10,19 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 
 from sins_align.grades import ConfigError
-from sins_align.parameters import Parameter
+from sins_align.parameters import Parameter, Value
 from sins_align.ros.parameter_values import is_ros_parameter
 
 _INTEGER_LIMIT = 2**63 - 1
+
+
+def given_value(node: Node, parameter: Parameter) -> Value:
+    """The value of one parameter of a node on which none is declared yet.
+
+    The node must have been made as for `declare_parameters`. ConfigError as there.
+    """
+    override = node.get_parameters_by_prefix("").get(parameter.name)
+    return parameter.default if override is None else parameter.check(override.value)
 
 
 def declare_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Any]:

@@ -1,110 +1,152 @@
-"""The simulator's settings: one table for `align_simulate` and the node `align_synth`."""
+"""What can be simulated: one description for `align_simulate` and the node `align_synth`."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from sins_align.grades import ConfigError, grade_names
-from sins_align.parameters import NAN, Parameter
-from sins_align.simulate import SCENARIOS, SwingOptions
+from sins_align.grades import ConfigError
+from sins_align.parameters import Parameter, parameters_of
+from sins_align.ros.simulation_tables import SWING_TABLE, VEHICLE_TABLE, Table
+from sins_align.simulate import (
+    SwingOptions,
+    SwingRun,
+    VehicleOptions,
+    VehicleRun,
+    simulate_swing,
+    simulate_vehicle,
+)
+from sins_align.types import OdometerSamples, Position
+from sins_align.units import DEG
 
-_LIMIT = 1e9
 _MAX_SAMPLES = 50_000_000  # some gigabytes
+_PAIRS = ("dropouts", "stuck")
 
-# Field of SwingOptions -> parameter of align_synth. Without its unit (_s) and with hyphens
-# the parameter's name is the option of align_simulate.
-_TABLE: dict[str, Parameter] = {
-    "scenario": Parameter("scenario", "pitch", "how the base moves", choices=tuple(SCENARIOS)),
-    "grade": Parameter("grade", "rlg", "grade of the IMU", choices=grade_names()),
-    "seed": Parameter("seed", 0, "of everything random", low=0, high=2**53),
-    "rate_hz": Parameter("rate", 200.0, "samples per second", low=0.1, high=1e5),
-    "duration_s": Parameter("duration_s", 420.0, "of the run [s]", low=0.01, high=1e6),
-    "latitude_deg": Parameter("latitude_deg", 40.0, "north positive", low=-90.0, high=90.0),
-    "longitude_deg": Parameter("longitude_deg", 116.0, "east positive", low=-180.0, high=180.0),
-    "altitude_m": Parameter("altitude_m", 50.0, "above the ellipsoid", low=-1e3, high=2e4),
-    "sampling": Parameter(
-        "sampling", "instantaneous", "what a sample stands for", choices=("mean", "instantaneous")
+Run = SwingRun | VehicleRun
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """One kind of simulation.
+
+    node : the aligner that it is for
+    what : in words
+    table : the settings
+    make_options, run_options : those of `sins_align.simulate`
+    extra : parameters beside the settings
+    """
+
+    node: str
+    what: str
+    table: Table
+    make_options: Callable[..., Any]
+    run_options: Callable[[Any], Run]
+    extra: tuple[Parameter, ...] = ()
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """All parameters by name."""
+        return {p.name: p for p in (*self.table.values(), *self.extra)}
+
+    def options(self, values: Mapping[str, Any]) -> Any:
+        """What to simulate, from parameter values.
+
+        Raises
+        ------
+        ConfigError : a value that cannot be simulated; names the parameter
+        """
+        fields: dict[str, Any] = {}
+        for field, parameter in self.table.items():
+            given = values[parameter.name]
+            if given == parameter.default or given is parameter.default:
+                value: Any = parameter.default
+            else:
+                value = parameter.check(given)
+            fields[field] = _pairs(field, value) if field in _PAIRS else _field_value(value)
+        samples = fields["rate_hz"] * fields["duration_s"]
+        if samples > _MAX_SAMPLES:
+            raise ConfigError(f"duration_s: {samples:g} samples, at most {_MAX_SAMPLES:g} are made")
+        try:
+            return self.make_options(**fields)
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+
+    def run(self, values: Mapping[str, Any]) -> Run:
+        """The simulation of parameter values; ConfigError as `options`."""
+        options = self.options(values)
+        try:
+            return self.run_options(options)
+        except ValueError as error:
+            raise ConfigError(str(error)) from None
+
+
+SIMULATIONS: Mapping[str, Simulation] = {
+    "swing": Simulation(
+        "swing_align", "an IMU on a swinging or still base", SWING_TABLE,
+        SwingOptions, simulate_swing,
     ),
-    "lever_arm_m": Parameter(
-        "lever_arm_m", [NAN] * 3, "swing centre to IMU, forward, left, up [m]; NaN: the paper's",
-        low=-_LIMIT, high=_LIMIT, length=3,
+    "odo": Simulation(
+        "odo_align", "an IMU and an odometer on a vehicle", VEHICLE_TABLE,
+        VehicleOptions, simulate_vehicle, (parameters_of("odo_align")["odom_type"],),
     ),
-    "heading_deg": Parameter(
-        "heading_deg", 0.0, "turns the whole scenario clockwise", low=-_LIMIT, high=_LIMIT
-    ),
-    "turn_deg": Parameter(
-        "turn_deg", 0.0, "the base is turned once by this, clockwise", low=-_LIMIT, high=_LIMIT
-    ),
-    "turn_start_s": Parameter(
-        "turn_start_s", NAN, "when [s]; NaN: in the middle", low=0.0, high=_LIMIT
-    ),
-    "turn_duration_s": Parameter(
-        "turn_duration_s", 20.0, "how long that takes [s]", low=1e-3, high=_LIMIT
-    ),
-    "heave_m": Parameter(
-        "heave_m", 0.0, "vertical motion of the swing centre, amplitude", low=0.0, high=_LIMIT
-    ),
-    "heave_period_s": Parameter("heave_period_s", 6.0, "its period [s]", low=1e-3, high=_LIMIT),
-    "sway_m": Parameter("sway_m", 0.0, "the same horizontally", low=0.0, high=_LIMIT),
-    "sway_period_s": Parameter("sway_period_s", 9.0, "its period [s]", low=1e-3, high=_LIMIT),
-    "sway_azimuth_deg": Parameter(
-        "sway_azimuth_deg", 90.0, "its direction, clockwise from north", low=-_LIMIT, high=_LIMIT
-    ),
-    "lost_fraction": Parameter("lost", 0.0, "part of the samples that is lost", low=0.0, high=0.99),
-    "stamp_jitter_s": Parameter("jitter_s", 0.0, "jitter of the stamps, 1 sigma [s]", low=0.0,
-                                high=1.0),
 }  # fmt: skip
 
-SIMULATION_PARAMETERS = {parameter.name: parameter for parameter in _TABLE.values()}
+
+def odometer_of(run: Run) -> OdometerSamples | None:
+    """The odometer of a run, None where it has none."""
+    return run.odometer if isinstance(run, VehicleRun) else None
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
+def position_of(run: Run) -> Position:
+    """Where the run begins."""
+    what = run.options
+    return Position(what.latitude_deg * DEG, what.longitude_deg * DEG, what.altitude_m)
+
+
+def add_options(parser: argparse.ArgumentParser, simulation: Simulation) -> None:
     """Give a parser an option for every parameter of the simulation."""
-    for parameter in SIMULATION_PARAMETERS.values():
-        default = parameter.default
-        array = isinstance(default, list)
+    for parameter in simulation.parameters.values():
+        # Without the unit s, unless that is the end of m/s.
+        option = "--" + re.sub("(?<!_m)_s$", "", parameter.name).replace("_", "-")
         choices = f": {', '.join(parameter.choices)}" if parameter.choices else ""
+        default = parameter.default
+        if isinstance(default, bool):
+            parser.add_argument(
+                option, dest=parameter.name, action="store_true", help=parameter.description
+            )
+            continue
+        array = isinstance(default, list)
         unset = array or (isinstance(default, float) and math.isnan(default))
         parser.add_argument(
-            "--" + parameter.name.removesuffix("_s").replace("_", "-"),
+            option,
             dest=parameter.name,
             type=float if array else type(default),
-            nargs=3 if array else None,
+            nargs=(parameter.length or "+") if array else None,
             default=default,
-            metavar=("X", "Y", "Z") if array else parameter.name.rpartition("_")[2].upper(),
+            metavar=_metavar(parameter),
             help=parameter.description + choices + ("" if unset else f" (default {default})"),
         )
 
 
-def swing_options(values: Mapping[str, Any]) -> SwingOptions:
-    """What to simulate, from parameter values.
-
-    Raises
-    ------
-    ConfigError : a value that cannot be simulated; names the parameter
-    """
-    fields: dict[str, Any] = {}
-    for field, parameter in _TABLE.items():
-        given = values[parameter.name]
-        if given == parameter.default or given is parameter.default:
-            value: Any = parameter.default
-        else:
-            value = parameter.check(given)
-        fields[field] = _none_if_unset(value)
-    samples = fields["rate_hz"] * fields["duration_s"]
-    if samples > _MAX_SAMPLES:
-        raise ConfigError(f"duration_s: {samples:g} samples, at most {_MAX_SAMPLES:g} are made")
-    try:
-        return SwingOptions(**fields)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+def _metavar(parameter: Parameter) -> str | tuple[str, ...]:
+    if isinstance(parameter.default, list):
+        return ("X", "Y", "Z")[: parameter.length] if parameter.length else "X"
+    return parameter.name.rpartition("_")[2].upper()
 
 
-def _none_if_unset(value: Any) -> Any:
+def _field_value(value: Any) -> Any:
+    """None for what is not set, a tuple for an array."""
     elements = value if isinstance(value, list) else [value]
     if any(isinstance(element, float) and math.isnan(element) for element in elements):
         return None
-    return value
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _pairs(field: str, numbers: list[float]) -> tuple[tuple[float, float], ...]:
+    if len(numbers) % 2:
+        raise ConfigError(f"{field}: {numbers} are not pairs of a begin and a duration")
+    return tuple(zip(numbers[::2], numbers[1::2], strict=True))
