@@ -39,26 +39,25 @@ def measure_speed(
     scale_error : measured over true distance, minus 1
     """
     interval = 1.0 / options.odometer_rate_hz
-    offset = (1.0 + streams["odometer_phase"].random()) * interval
-    count = max(0, math.floor((options.duration_s - offset) / interval + 1e-9) + 1)
-    end: Array = offset + interval * np.arange(count) - options.odometer_latency_s
+    first = (1.0 + streams["odometer_phase"].random()) * interval
+    count = max(0, math.floor((options.duration_s - first) / interval + 1e-9) + 1)
+    on_time: Array = first + interval * np.arange(count, dtype=np.float64)
+    end = on_time - options.odometer_latency_s
     edges = np.concatenate((end[:1] - interval, end))
-    value = np.diff(count_distance(edges, options, speed, scale_error, streams)) / interval
+    value = np.diff(_count_distance(edges, options, speed, scale_error, streams)) / interval
     value += options.odometer_noise_m_s * streams["odometer_noise"].standard_normal(count)
-
-    jitter = options.odometer_jitter_s * streams["odometer_jitter"].standard_normal(count)
-    jitter = np.clip(jitter, -0.45 * interval, 0.45 * interval)
-    stamp_s = end + options.odometer_latency_s + options.odometer_clock_drift * end + jitter
-    stamp_ns = options.start_stamp_ns + np.rint(stamp_s * 1e9).astype(np.int64)
-
-    nominal: Array = end + options.odometer_latency_s
-    value[_within(nominal, options.stuck)] = 0.0
+    value[_within(on_time, options.stuck)] = 0.0
     chance, outlier = streams["odometer_outliers"].random((count, 2)).T
     wild = chance < options.outlier_fraction
     value[wild] = (_OUTLIERS[0] + (_OUTLIERS[1] - _OUTLIERS[0]) * outlier)[wild]
+
+    jitter = options.odometer_jitter_s * streams["odometer_jitter"].standard_normal(count)
+    jitter = np.clip(jitter, -0.45 * interval, 0.45 * interval)
+    stamp_s = on_time + options.odometer_clock_drift * end + jitter
+    stamp_ns = options.start_stamp_ns + np.rint(stamp_s * 1e9).astype(np.int64)
     variance = np.full(count, speed_variance(options) if options.odometer_report_variance else 0.0)
     samples = OdometerSamples(stamp_ns, value, variance)
-    return samples.select(~_within(nominal, options.dropouts))
+    return samples.select(~_within(on_time, options.dropouts))
 
 
 def speed_variance(options: VehicleOptions) -> float:
@@ -67,7 +66,7 @@ def speed_variance(options: VehicleOptions) -> float:
     return rounding**2 / 6.0 + options.odometer_noise_m_s**2
 
 
-def count_distance(
+def _count_distance(
     t: Array,
     options: VehicleOptions,
     speed: SmoothLevels,

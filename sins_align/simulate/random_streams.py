@@ -34,6 +34,7 @@ _PURPOSES = (
     "odometer_slip",
     "odometer_outliers",
     "odometer_jitter",
+    "vehicle_course",
 )
 
 

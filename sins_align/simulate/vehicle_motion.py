@@ -188,7 +188,7 @@ def vehicle_motion(options: VehicleOptions, streams: Mapping[str, Generator]) ->
     if options.ground_pitch_deg is not None:
         ground_pitch = math.radians(options.ground_pitch_deg)
     return VehicleMotion(
-        route=plan_route(options.scenario, options.duration_s, streams["vehicle_route"]),
+        route=plan_route(options.scenario, options.duration_s, streams),
         heading=float(heading),
         ground_roll=float(ground_roll),
         ground_pitch=float(ground_pitch),

@@ -141,7 +141,7 @@ def integrate_track(
     """Integrate the IMU's velocity to its position.
 
     L' = v_N / (R_M(L) + h), lambda' = v_E / ((R_N(L) + h) cos L), h' = v_U. The right sides
-    depend so little on L and h that three rounds of integrals over the whole track are exact.
+    depend so little on L and h that four rounds of integrals over the whole track are exact.
 
     Parameters
     ----------
@@ -156,9 +156,9 @@ def integrate_track(
     back, forth = math.ceil(-span[0] / _STEP), math.ceil(span[1] / _STEP)
     count = back + forth + 1
     begin = -back * _STEP
-    grid = begin + _STEP * np.arange(count)
+    grid: Array = begin + _STEP * np.arange(count, dtype=np.float64)
     part: Array = 0.5 * (1.0 + np.asarray(_NODES, dtype=np.float64))
-    node_times = grid[:-1, np.newaxis] + _STEP * part
+    node_times: Array = grid[:-1, np.newaxis] + _STEP * part
     at_nodes = motion.kinematics(node_times.ravel())
     at_grid = motion.kinematics(grid)
     values = np.repeat(np.array(start)[:, np.newaxis], count, axis=1)
