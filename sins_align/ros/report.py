@@ -11,6 +11,8 @@ import numpy as np
 from sins_align.ros.chart import Chart, Series, chart_svg
 from sins_align.ros.replay import Outcome, Replay
 from sins_align.ros.result import (
+    mounting_sigma,
+    odometer_lever_sigma,
     roll_pitch_heading,
     roll_pitch_heading_sigma,
     write_text_whole,
@@ -18,7 +20,7 @@ from sins_align.ros.result import (
 from sins_align.ros.result_table import HEAD, footer, result_rows, verdict
 from sins_align.ros.truth import Truth
 from sins_align.session import Update
-from sins_align.types import Array, Estimate
+from sins_align.types import Array, Estimate, OdometerEstimate
 from sins_align.units import ARCMIN, DEG
 
 _ANGLES = ("roll", "pitch", "heading")
@@ -34,7 +36,14 @@ COLUMNS = (
     *(f"accel_bias_{axis}_m_s2" for axis in _XYZ),
     *(f"accel_bias_{axis}_sigma_m_s2" for axis in _XYZ),
     "consistency",
+    "odometer_scale_error", "odometer_scale_sigma",
+    "odometer_latency_s", "odometer_latency_sigma_s",
+    *(f"mounting_{angle}_deg" for angle in ("roll", "pitch", "yaw")),
+    *(f"mounting_{angle}_sigma_deg" for angle in ("roll", "pitch", "yaw")),
+    *(f"odometer_lever_{axis}_m" for axis in _XYZ),
+    *(f"odometer_lever_{axis}_sigma_m" for axis in _XYZ),
 )  # fmt: skip
+_ODOMETER = COLUMNS.index("odometer_scale_error") - 3
 _NUMBERS = len(COLUMNS) - 3
 
 _STYLE = """\
@@ -64,6 +73,20 @@ def estimate_numbers(estimate: Estimate | None) -> Array:
             estimate.gyro_bias, estimate.gyro_bias_sigma,
             estimate.accel_bias, estimate.accel_bias_sigma,
             [estimate.consistency],
+            _odometer_numbers(estimate.odometer),
+        )
+    )  # fmt: skip
+
+
+def _odometer_numbers(odometer: OdometerEstimate | None) -> Array:
+    if odometer is None:
+        return np.full(_NUMBERS - _ODOMETER, np.nan)
+    return np.concatenate(
+        (
+            [odometer.scale_error, odometer.scale_sigma],
+            [odometer.latency_s, odometer.latency_sigma_s],
+            odometer.mounting_rpy / DEG, mounting_sigma(odometer) / DEG,
+            odometer.lever_arm_b, odometer_lever_sigma(odometer),
         )
     )  # fmt: skip
 
@@ -137,7 +160,20 @@ def _charts(outcome: Outcome) -> list[str]:
         sigma = tuple(Series(axis, values[9 + k]) for k, axis in enumerate(_XYZ))
         charts.append(Chart("Lever arm [m]", lever))
         charts.append(Chart("Lever arm, 1 sigma [m]", sigma, logarithmic=True))
+    charts += _odometer_charts(values[_ODOMETER:])
     return [chart_svg(chart, time) for chart in charts]
+
+
+def _odometer_charts(values: Array) -> list[Chart]:
+    """values : (K, N), the odometer's part of `estimate_numbers`."""
+    if not np.isfinite(values[0]).any():
+        return []
+    mounting = (Series("pitch", values[5]), Series("yaw", values[6]))
+    return [
+        Chart("Odometer scale error [%]", (Series("estimate", 100.0 * values[0]),)),
+        Chart("Odometer latency [s]", (Series("estimate", values[2]),)),
+        Chart("Mounting [deg]", mounting),
+    ]
 
 
 def _history(replay: Replay) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 
 from sins_align.session import Session
-from sins_align.types import Array, Estimate, InputCounts, State
+from sins_align.types import Array, Estimate, InputCounts, OdometerEstimate, State
 from sins_align.units import ARCMIN, DEG
 
 SCHEMA = 1
@@ -45,13 +45,23 @@ def roll_pitch_heading(q_nb: Array) -> tuple[float, float, float]:
 def roll_pitch_heading_sigma(estimate: Estimate) -> Array:
     """(3,) 1 sigma of roll, pitch and heading [rad], from the misalignment covariance.
 
-    A small rotation theta = -phi in n changes
-        d roll  = (cos yaw theta_e + sin yaw theta_n) / cos pitch
-        d pitch = -sin yaw theta_e + cos yaw theta_n
-        d yaw   = theta_u + tan pitch (cos yaw theta_e + sin yaw theta_n)
+    A small rotation theta = -phi in n has the covariance of phi.
     """
     _, pitch, heading = roll_pitch_heading(estimate.q_nb)
-    cos_yaw, sin_yaw = math.sin(heading), math.cos(heading)
+    return rpy_sigma(pitch, 0.5 * math.pi - heading, estimate.misalignment_covariance)
+
+
+def rpy_sigma(pitch: float, yaw: float, covariance: Array) -> Array:
+    """(3,) 1 sigma of roll, pitch and yaw [rad] of C_ab = Rz(yaw) Ry(pitch) Rx(roll).
+
+    A small rotation theta in a, C_ab + dC = (I + [theta x]) C_ab, changes
+        d roll  = (cos yaw theta_x + sin yaw theta_y) / cos pitch
+        d pitch = -sin yaw theta_x + cos yaw theta_y
+        d yaw   = theta_z + tan pitch (cos yaw theta_x + sin yaw theta_y)
+
+    covariance : (3, 3) of theta [rad^2]
+    """
+    cos_yaw, sin_yaw = math.cos(yaw), math.sin(yaw)
     cos_pitch = max(math.cos(pitch), 1e-9)
     tan_pitch = math.sin(pitch) / cos_pitch
     J = np.array(
@@ -61,7 +71,19 @@ def roll_pitch_heading_sigma(estimate: Estimate) -> Array:
             [tan_pitch * cos_yaw, tan_pitch * sin_yaw, 1.0],
         ]
     )
-    sigma: Array = np.sqrt(np.diag(J @ estimate.misalignment_covariance @ J.T))
+    sigma: Array = np.sqrt(np.diag(J @ covariance @ J.T))
+    return sigma
+
+
+def mounting_sigma(odometer: OdometerEstimate) -> Array:
+    """(3,) 1 sigma of the mounting's roll, pitch and yaw [rad]."""
+    _, pitch, yaw = odometer.mounting_rpy.tolist()
+    return rpy_sigma(pitch, yaw, odometer.mounting_covariance)
+
+
+def odometer_lever_sigma(odometer: OdometerEstimate) -> Array:
+    """(3,) 1 sigma of the odometer's lever arm [m]."""
+    sigma: Array = np.sqrt(np.diag(odometer.lever_arm_covariance))
     return sigma
 
 
@@ -110,7 +132,8 @@ def _estimate_part(estimate: Estimate | None, heading_limit: float) -> dict[str,
             "gyro_bias_rad_s", "gyro_bias_sigma_rad_s", "accel_bias_m_s2", "accel_bias_sigma_m_s2",
             "lever_arm_m", "lever_arm_sigma_m", "lever_arm_observable",
             "odometer_scale_error", "odometer_scale_sigma", "mounting_rpy_deg",
-            "consistency",
+            "mounting_sigma_deg", "odometer_latency_s", "odometer_latency_sigma_s",
+            "odometer_lever_arm_m", "odometer_lever_arm_sigma_m", "consistency",
         )
     )  # fmt: skip
     part["heading_limit_arcmin"] = _number(heading_limit / ARCMIN)
@@ -139,7 +162,22 @@ def _estimate_part(estimate: Estimate | None, heading_limit: float) -> dict[str,
             lever_arm_sigma_m=_numbers(np.sqrt(np.diag(lever_arm.covariance))),
             lever_arm_observable=list(lever_arm.observable),
         )
+    if estimate.odometer is not None:
+        part.update(_odometer_part(estimate.odometer))
     return part
+
+
+def _odometer_part(odometer: OdometerEstimate) -> dict[str, Any]:
+    return {
+        "odometer_scale_error": _number(odometer.scale_error),
+        "odometer_scale_sigma": _number(odometer.scale_sigma),
+        "mounting_rpy_deg": _numbers(odometer.mounting_rpy / DEG),
+        "mounting_sigma_deg": _numbers(mounting_sigma(odometer) / DEG),
+        "odometer_latency_s": _number(odometer.latency_s),
+        "odometer_latency_sigma_s": _number(odometer.latency_sigma_s),
+        "odometer_lever_arm_m": _numbers(odometer.lever_arm_b),
+        "odometer_lever_arm_sigma_m": _numbers(odometer_lever_sigma(odometer)),
+    }
 
 
 def _input_part(counts: InputCounts) -> dict[str, Any]:

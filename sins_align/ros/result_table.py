@@ -8,9 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sins_align.ros.result import roll_pitch_heading, roll_pitch_heading_sigma
+from sins_align.ros.result import (
+    mounting_sigma,
+    odometer_lever_sigma,
+    roll_pitch_heading,
+    roll_pitch_heading_sigma,
+)
 from sins_align.ros.truth import Truth
-from sins_align.types import Array, Estimate
+from sins_align.types import Array, Estimate, OdometerEstimate
 from sins_align.units import ARCMIN, DEG, DEG_PER_H, MICRO_G
 
 HEAD = ("", "estimate", "1 sigma", "truth", "error", "error/sigma")
@@ -46,7 +51,32 @@ def result_rows(estimate: Estimate, truth: Truth | None) -> list[Row]:
         "accel bias", "µg", estimate.accel_bias / MICRO_G, estimate.accel_bias_sigma / MICRO_G,
         None if truth is None or truth.accel_bias is None else truth.accel_bias / MICRO_G,
     )  # fmt: skip
+    if estimate.odometer is not None:
+        rows += _odometer_rows(estimate.odometer, truth)
     return rows
+
+
+def _odometer_rows(odometer: OdometerEstimate, truth: Truth | None) -> Iterator[Row]:
+    truth = truth or Truth(0, np.empty(4))
+    scale = truth.odometer_scale_error
+    yield from _vector_rows(
+        "odometer scale error", "%", np.array([100.0 * odometer.scale_error]),
+        np.array([100.0 * odometer.scale_sigma]), None if scale is None else 100.0 * scale,
+        axes=("",),
+    )  # fmt: skip
+    yield from _vector_rows(
+        "odometer latency", "s", np.array([odometer.latency_s]),
+        np.array([odometer.latency_sigma_s]), truth.odometer_latency, axes=("",),
+    )  # fmt: skip
+    yield from _vector_rows(
+        "odometer lever", "m", odometer.lever_arm_b, odometer_lever_sigma(odometer),
+        truth.odometer_lever_arm,
+    )  # fmt: skip
+    yield from _vector_rows(
+        "mounting", "deg", odometer.mounting_rpy / DEG, mounting_sigma(odometer) / DEG,
+        truth.mounting_rpy_deg,
+        axes=("roll", "pitch", "yaw"),
+    )  # fmt: skip
 
 
 def _attitude_rows(estimate: Estimate, truth: Truth | None) -> Iterator[Row]:
@@ -80,13 +110,15 @@ def _vector_rows(
     values: Array,
     sigmas: Array,
     true: Array | None,
-    observable: Sequence[bool] = (True, True, True),
+    observable: Sequence[bool] | None = None,
+    axes: Sequence[str] = ("x", "y", "z"),
 ) -> Iterator[Row]:
     """One row an axis, in `unit`; an axis that is not observable has no estimate."""
+    observable = observable or [True] * len(axes)
     decimals = _decimals(sigmas[list(observable)])
-    for k, axis in enumerate("xyz"):
+    for k, axis in enumerate(axes):
         value, sigma = float(values[k]), float(sigmas[k])
-        row = Row(f"{name} {axis}", _UNOBSERVABLE, "")
+        row = Row(f"{name} {axis}".rstrip(), _UNOBSERVABLE, "")
         if observable[k]:
             row = row._replace(
                 estimate=f"{_fixed(value, decimals)} {unit}",
@@ -145,6 +177,10 @@ def footer(document: dict[str, Any]) -> list[str]:
         f"{counts['imu_samples']} samples over {counts['duration_s']:.3f} s,"
         f" {counts['imu_rejected']} rejected, {counts['imu_gaps']} gaps"
     )
+    if counts["odom_samples"] or counts["odom_rejected"]:
+        lines.append(
+            f"{counts['odom_samples']} samples of the odometer, {counts['odom_rejected']} rejected"
+        )
     lines.append(
         f"{timing['wall_s']:.2f} s in all, reading {timing['read_s']:.2f} s,"
         f" estimation {timing['estimate_s']:.2f} s"
