@@ -85,17 +85,15 @@ class _Draft:
         self.speed.hold(self.bend(_TURN_RADIUS, angle, _TURN_ENTRY) / _TURN_SPEED)
 
     def leg(self, stop_chance: float, arc_chance: float) -> None:
-        """Drive to the next crossing, with or without a stop or an arc on the way, and turn."""
+        """Drive to the next crossing, perhaps along an arc, perhaps stop there, and turn."""
         self.go_to(self.random(8.0, 14.0))
-        self.speed.hold(self.random(4.0, 14.0))
+        self.speed.hold(self.random(3.0, 12.0))
         if self.stream.random() < arc_chance:
             radius, angle = self.random(80.0, 120.0), self.sign() * self.random(0.8, 2.0)
             self.speed.hold(self.bend(radius, angle, 20.0) / self.speed.level)
         if self.stream.random() < stop_chance:
             self.go_to(0.0)
             self.speed.hold(self.random(5.0, 15.0))
-            self.go_to(self.random(8.0, 14.0))
-            self.speed.hold(self.random(2.0, 6.0))
         self.turn()
 
 
