@@ -77,9 +77,10 @@ def write_mcap(
     indexed: bool = True,
     crc: bool = True,
     topics: tuple[str, ...] = ("/imu",),
+    message_type: str = IMU,
 ) -> None:
     """A bag by the mcap package; message k goes to topic k modulo their number."""
-    definition, _ = STORE.generate_msgdef(IMU, ros_version=2)
+    definition, _ = STORE.generate_msgdef(message_type, ros_version=2)
     with path.open("wb") as file:
         writer = Writer(
             file,
@@ -90,7 +91,7 @@ def write_mcap(
             enable_crcs=crc,
         )
         writer.start("ros2")
-        schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", definition.encode())
+        schema = writer.register_schema(message_type, "ros2msg", definition.encode())
         channels = [writer.register_channel(topic, "cdr", schema) for topic in topics]
         for k, (log_time, payload) in enumerate(messages):
             writer.add_message(channels[k % len(channels)], log_time, payload, log_time)
