@@ -200,6 +200,13 @@ def cumulative_rotation(increments: Array) -> Array:
     return np.ascontiguousarray(unknowns.view(float).reshape(n + 1, 4).T)
 
 
+def level_axes(up: Array) -> Array:
+    """Columns of a level frame with the given up (3,) and horizontal axes of no meaning: (3, 3)."""
+    east = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
+    east /= np.linalg.norm(east)
+    return np.column_stack((east, cross3(up, east), up))
+
+
 def dcm_from_rpy(roll: float, pitch: float, yaw: float) -> Array:
     """C_nb = Rz(yaw) Ry(pitch) Rx(roll), REP-103 [rad]: (3, 3)."""
     cr, sr = math.cos(roll), math.sin(roll)

@@ -9,20 +9,27 @@ were handed over.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.config import SwingConfig
+from sins_align.config import OdoConfig, SwingConfig
 from sins_align.intake import Intake
 from sins_align.limits import heading_limit, level_limit
+from sins_align.odo import make_odo_aligner
+from sins_align.odo.odometer_intake import OdometerIntake
 from sins_align.status import Completer
 from sins_align.swing import make_aligner
 from sins_align.types import (
+    Advance,
+    AidedAligner,
+    Aligner,
     Estimate,
     ImuBlock,
     ImuSamples,
     InputCounts,
+    OdometerSamples,
     Position,
     State,
     Status,
@@ -56,20 +63,33 @@ class Session:
         used until `set_position`
     """
 
-    def __init__(self, config: SwingConfig) -> None:
+    def __init__(self, config: SwingConfig | OdoConfig) -> None:
         self._config = config
         self._position = config.position
         self._counts = InputCounts()
+        self._odometer_intake = OdometerIntake(self._counts)
         self._restarts = 0
         self._begin("")
 
     def _begin(self, reason: str) -> None:
-        self._aligner = make_aligner(self._config, self._position) if self._position else None
+        self._make_aligner()
         self._intake = Intake(self._counts)
         self._completer = self._make_completer()
         self._begin_reason = reason
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
+
+    def _make_aligner(self) -> None:
+        self._aligner: Aligner | None = None
+        self._aided: AidedAligner | None = None
+        if self._position is None:
+            return
+        if isinstance(self._config, SwingConfig):
+            self._aligner = make_aligner(self._config, self._position)
+            return
+        self._aligner = self._aided = make_odo_aligner(self._config, self._position)
+        if self._counts.odom_samples > 0:  # the odometer may be ahead of the IMU
+            self._aided.aid(self._odometer_intake.recent())
 
     def _make_completer(self) -> Completer:
         grade = self._config.grade
@@ -87,7 +107,7 @@ class Session:
         return Status(State.WAITING, self._begin_reason or "no IMU data")
 
     @property
-    def config(self) -> SwingConfig:
+    def config(self) -> SwingConfig | OdoConfig:
         """The settings."""
         return self._config
 
@@ -166,35 +186,57 @@ class Session:
             self.restart(self._intake.break_reason)
             self._intake.add_usable(rest)
 
+    def add_odometer(self, samples: OdometerSamples) -> list[Update]:
+        """Take in samples of the odometer, which may be ahead of the IMU or behind it.
+
+        One update for every epoch that waited for them. Samples that are refused are counted
+        in `counts.odom_rejected` and change nothing else.
+
+        Raises
+        ------
+        ValueError : arrays of another shape or type than `OdometerSamples` says
+        """
+        check_odometer_arrays(samples)
+        accepted = self._odometer_intake.add(samples)
+        aided = self._aided
+        if aided is None or not len(accepted):
+            return []
+        return self._step(lambda: aided.aid(accepted))
+
     def _take_in(self, block: ImuBlock) -> list[Update]:
-        """The block's update; none while the aligner's estimate is that of a block before."""
-        assert self._aligner is not None and self._position is not None
-        stamp_ns = int(block.stamp_ns[-1])
-        elapsed = self._intake.elapsed_s(stamp_ns)
+        """What the block led to; nothing while it only waits for what comes later."""
+        aligner = self._aligner
+        assert aligner is not None
         fault = find_fault(block)
         if fault is not None:
-            return self._fail(stamp_ns, Status(State.FAILED, *fault, elapsed))
-        try:
-            self._aligner.update(block)
-            estimate = self._aligner.estimate
-        except np.linalg.LinAlgError as error:
-            return self._fail(stamp_ns, Status(State.FAILED, str(error), GRADE_REMEDY, elapsed))
-        if estimate is not None and not is_sound(estimate):
-            reason = "the estimate broke down: beginning anew"
-            return self._fail(stamp_ns, Status(State.FAILED, reason, GRADE_REMEDY, elapsed))
-        if estimate is not None and estimate.stamp_ns != stamp_ns:
-            return []
-        limit = heading_limit(self._config.grade, self._position.latitude)
-        self._status = self._completer.update(estimate, elapsed, limit, self._begin_reason)
-        return [Update(stamp_ns, estimate, self._status)]
+            return self._fail(int(block.stamp_ns[-1]), *fault)
+        return self._step(lambda: aligner.update(block))
 
-    def _fail(self, stamp_ns: int, status: Status) -> list[Update]:
-        """The block is of no use; the alignment begins anew with the first one that is."""
+    def _step(self, work: Callable[[], list[Advance]]) -> list[Update]:
         assert self._position is not None
-        self._aligner = make_aligner(self._config, self._position)
+        try:
+            steps = work()
+        except np.linalg.LinAlgError as error:
+            stamp_ns = self._counts.last_stamp_ns
+            return self._fail(0 if stamp_ns is None else stamp_ns, str(error), GRADE_REMEDY)
+        limit = heading_limit(self._config.grade, self._position.latitude)
+        updates: list[Update] = []
+        for step in steps:
+            if step.estimate is not None and not is_sound(step.estimate):
+                reason = "the estimate broke down: beginning anew"
+                return [*updates, *self._fail(step.stamp_ns, reason, GRADE_REMEDY)]
+            elapsed = self._intake.elapsed_s(step.stamp_ns)
+            self._status = self._completer.update(step, elapsed, limit, self._begin_reason)
+            updates.append(Update(step.stamp_ns, step.estimate, self._status))
+        return updates
+
+    def _fail(self, stamp_ns: int, reason: str, remedy: str) -> list[Update]:
+        """The block is of no use; the alignment begins anew with the first one that is."""
+        elapsed = self._intake.elapsed_s(stamp_ns)
+        self._make_aligner()
         self._completer = self._make_completer()
-        self._status = status
-        return [Update(stamp_ns, None, status)]
+        self._status = Status(State.FAILED, reason, remedy, elapsed)
+        return [Update(stamp_ns, None, self._status)]
 
     @property
     def estimate(self) -> Estimate | None:
@@ -247,6 +289,19 @@ def is_sound(estimate: Estimate) -> bool:
     return bool(finite and (P.diagonal() >= 0.0).all())
 
 
+def check_odometer_arrays(samples: OdometerSamples) -> None:
+    """As `check_arrays`.
+
+    Raises
+    ------
+    ValueError : names the array
+    """
+    size = np.size(samples.stamp_ns)
+    _check_array("stamp_ns", samples.stamp_ns, np.int64, (size,))
+    _check_array("speed", samples.speed, np.float64, (size,))
+    _check_array("variance", samples.variance, np.float64, (size,))
+
+
 def check_arrays(samples: ImuSamples) -> None:
     """Refuse what would go wrong later, and far from its cause.
 
@@ -254,17 +309,16 @@ def check_arrays(samples: ImuSamples) -> None:
     ------
     ValueError : names the array
     """
-    for name, array, dtype in (
-        ("stamp_ns", samples.stamp_ns, np.int64),
-        ("w_ib_b", samples.w_ib_b, np.float64),
-        ("f_ib_b", samples.f_ib_b, np.float64),
-    ):
-        if not isinstance(array, np.ndarray) or array.dtype.type is not dtype:
-            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-            raise ValueError(f"{name}: an array of {dtype.__name__} is expected, not {kind}")
-    shape = (3, samples.stamp_ns.size)
-    if samples.stamp_ns.ndim != 1:
-        raise ValueError(f"stamp_ns: shape (N,) is expected, not {samples.stamp_ns.shape}")
-    for name, array in (("w_ib_b", samples.w_ib_b), ("f_ib_b", samples.f_ib_b)):
-        if array.shape != shape:
-            raise ValueError(f"{name}: shape {shape} is expected, not {array.shape}")
+    size = np.size(samples.stamp_ns)
+    _check_array("stamp_ns", samples.stamp_ns, np.int64, (size,))
+    _check_array("w_ib_b", samples.w_ib_b, np.float64, (3, size))
+    _check_array("f_ib_b", samples.f_ib_b, np.float64, (3, size))
+
+
+def _check_array(name: str, array: object, dtype: type, shape: tuple[int, ...]) -> None:
+    if not isinstance(array, np.ndarray) or array.dtype.type is not dtype:
+        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+        raise ValueError(f"{name}: an array of {dtype.__name__} is expected, not {kind}")
+    if array.shape != shape:
+        wanted = "(N,)" if name == "stamp_ns" else shape
+        raise ValueError(f"{name}: shape {wanted} is expected, not {array.shape}")

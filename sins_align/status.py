@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sins_align.config import Completion
-from sins_align.types import Estimate, State, Status
+from sins_align.types import Advance, Estimate, State, Status
 from sins_align.units import ARCMIN, ARCSEC
 
 # From here on the levels and heading are small-angle quantities.
@@ -41,24 +41,23 @@ class Completer:
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
-    def update(
-        self, estimate: Estimate | None, elapsed_s: float, limit: float, begin_reason: str
-    ) -> Status:
-        """Status after a block.
+    def update(self, step: Advance, elapsed_s: float, limit: float, begin_reason: str) -> Status:
+        """Status after a step of the aligner.
 
         Parameters
         ----------
-        estimate : None before the coarse attitude exists
+        step : what the aligner says
         elapsed_s : time from the first sample [s]
         limit : what the declared gyro and the latitude allow for heading [rad]
         begin_reason : why the alignment began anew, empty at the first start
         """
+        estimate = step.estimate
         if estimate is None:
             self._below_since_s = self._aligned_at_s = None
-            reason = f"collecting data for the coarse attitude ({elapsed_s:.0f} s)"
+            reason = step.reason or f"collecting data for the coarse attitude ({elapsed_s:.0f} s)"
             if begin_reason:
                 reason += f"; began anew: {begin_reason}"
-            remedy = self._heading_remedy(limit)
+            remedy = step.remedy or self._heading_remedy(limit)
             return Status(State.COARSE, reason, remedy, elapsed_s, None, limit)
         missing, remedy = self._missing(estimate, limit)
         if missing:

@@ -220,11 +220,27 @@ class ImuBlock(NamedTuple):
     f_ib_b: Array
 
 
+class Advance(NamedTuple):
+    """How far an aligner has come.
+
+    stamp_ns : of the last sample used [ns]
+    estimate : None before the coarse attitude exists; reason, remedy: why not, and what helps
+    """
+
+    stamp_ns: int
+    estimate: Estimate | None
+    reason: str = ""
+    remedy: str = ""
+
+
 class Aligner(Protocol):
     """An estimator: no clock, no log, no topic. The session feeds it whole blocks."""
 
-    def update(self, block: ImuBlock) -> None:
-        """Take in the next block of samples."""
+    def update(self, block: ImuBlock) -> list[Advance]:
+        """Take in the next block of samples.
+
+        An element for every step forward; none while samples are only kept.
+        """
 
     @property
     def estimate(self) -> Estimate | None:
@@ -242,3 +258,10 @@ class Aligner(Protocol):
 
         Where `update` leaves something for later, this does not: for the end of a run.
         """
+
+
+class AidedAligner(Aligner, Protocol):
+    """An estimator that needs an odometer."""
+
+    def aid(self, samples: OdometerSamples) -> list[Advance]:
+        """Take in samples of the odometer, which may be ahead of the IMU or behind it."""

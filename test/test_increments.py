@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sins_align.gaps import fill_gaps
 from sins_align.increments import (
     Windows,
-    fill_gaps,
     integrate_rotation,
     integrate_windows,
     join_blocks,

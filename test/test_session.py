@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from sins_align.config import SwingConfig, swing_config
 from sins_align.session import Session, Update, is_sound
 from sins_align.simulate import SwingOptions, simulate_swing
-from sins_align.types import Estimate, ImuBlock, ImuSamples, ImuSampling, Position, State
+from sins_align.types import Advance, Estimate, ImuBlock, ImuSamples, ImuSampling, Position, State
 from sins_align.units import DEG
 
 SECOND = 1_000_000_000
@@ -477,11 +477,12 @@ class Broken:
         self._count = 0
         self._stamp_ns = 0
 
-    def update(self, block: ImuBlock) -> None:
+    def update(self, block: ImuBlock) -> list[Advance]:
         self._count += 1
         self._stamp_ns = int(block.stamp_ns[-1])
         if self.singular and self._count == 3:
             raise np.linalg.LinAlgError("not positive definite")
+        return [Advance(self._stamp_ns, self.estimate)]
 
     @property
     def estimate(self) -> Estimate:

@@ -10,7 +10,7 @@ import pytest
 
 from sins_align.config import Completion
 from sins_align.status import POLE_REMEDY, Completer
-from sins_align.types import Estimate, State, Status
+from sins_align.types import Advance, Estimate, State, Status
 from sins_align.units import ARCMIN, ARCSEC
 
 HEADING, LEVEL, HOLD_S = 6.0 * ARCMIN, 30.0 * ARCSEC, 10.0
@@ -36,23 +36,23 @@ def estimate(
 def status_of(found: Estimate | None, limit: float = 0.0, **changes: float) -> Status:
     """Held long enough."""
     completer = Completer(COMPLETION, **changes)
-    completer.update(found, 1.0, limit, "")
-    return completer.update(found, 1.0 + HOLD_S, limit, "")
+    completer.update(Advance(0, found), 1.0, limit, "")
+    return completer.update(Advance(0, found), 1.0 + HOLD_S, limit, "")
 
 
 def test_no_estimate_yet() -> None:
-    status = Completer(COMPLETION).update(None, 12.0, 0.001, "")
+    status = Completer(COMPLETION).update(Advance(0, None), 12.0, 0.001, "")
     assert status == Status(
         State.COARSE, "collecting data for the coarse attitude (12 s)", "", 12.0, None, 0.001
     )
-    again = Completer(COMPLETION).update(None, 3.0, 0.001, "2.0 s without IMU data")
+    again = Completer(COMPLETION).update(Advance(0, None), 3.0, 0.001, "2.0 s without IMU data")
     assert again.reason.endswith("; began anew: 2.0 s without IMU data")
 
 
 def test_aligned_after_the_hold_and_not_before() -> None:
     completer = Completer(COMPLETION)
     times = [20.0, 25.0, 29.999, 30.0, 31.0]
-    found = [completer.update(estimate(), t, 0.0, "") for t in times]
+    found = [completer.update(Advance(0, estimate()), t, 0.0, "") for t in times]
     assert [s.state for s in found] == [State.FINE] * 3 + [State.ALIGNED] * 2
     assert found[1].reason == "below the thresholds for 5 of 10 s"
     assert [s.aligned_at_s for s in found] == [None, None, None, 30.0, 30.0]
@@ -62,7 +62,7 @@ def test_aligned_after_the_hold_and_not_before() -> None:
 
 def test_without_a_hold_at_once() -> None:
     completer = Completer(dataclasses.replace(COMPLETION, hold_s=0.0))
-    assert completer.update(estimate(), 5.0, 0.0, "").state is State.ALIGNED
+    assert completer.update(Advance(0, estimate()), 5.0, 0.0, "").state is State.ALIGNED
 
 
 @pytest.mark.parametrize("what", ["heading", "east", "north"])
@@ -84,8 +84,8 @@ def test_exactly_at_the_threshold_is_not_below(what: str) -> None:
     else:
         at = Completion(HEADING, max(east, north), 0.0)
         above = Completion(HEADING, np.nextafter(max(east, north), 1.0), 0.0)
-    assert Completer(at).update(found, 1.0, 0.0, "").state is State.FINE
-    assert Completer(above).update(found, 1.0, 0.0, "").state is State.ALIGNED
+    assert Completer(at).update(Advance(0, found), 1.0, 0.0, "").state is State.FINE
+    assert Completer(above).update(Advance(0, found), 1.0, 0.0, "").state is State.ALIGNED
 
 
 def test_both_are_named() -> None:
@@ -99,22 +99,22 @@ def test_sigma_that_rises_again_begins_the_hold_anew() -> None:
     completer = Completer(COMPLETION)
 
     def state(t: float, factor: float) -> State:
-        return completer.update(estimate(heading=factor * HEADING), t, 0.0, "").state
+        return completer.update(Advance(0, estimate(heading=factor * HEADING)), t, 0.0, "").state
 
     assert [state(t, 0.9) for t in (0.0, 10.0)] == [State.FINE, State.ALIGNED]
     assert state(20.0, 1.1) is State.FINE
     assert [state(t, 0.9) for t in (21.0, 30.0)] == [State.FINE] * 2
-    status = completer.update(estimate(), 31.0, 0.0, "")
+    status = completer.update(Advance(0, estimate()), 31.0, 0.0, "")
     assert (status.state, status.aligned_at_s) == (State.ALIGNED, 31.0)
 
 
 def test_an_estimate_that_goes_away_begins_the_hold_anew() -> None:
     completer = Completer(COMPLETION)
     for t in (0.0, 10.0):
-        completer.update(estimate(), t, 0.0, "")
-    completer.update(None, 11.0, 0.0, "")
-    assert completer.update(estimate(), 12.0, 0.0, "").state is State.FINE
-    assert completer.update(estimate(), 22.0, 0.0, "").aligned_at_s == 22.0
+        completer.update(Advance(0, estimate()), t, 0.0, "")
+    completer.update(Advance(0, None), 11.0, 0.0, "")
+    assert completer.update(Advance(0, estimate()), 12.0, 0.0, "").state is State.FINE
+    assert completer.update(Advance(0, estimate()), 22.0, 0.0, "").aligned_at_s == 22.0
 
 
 def test_coarse_and_fine() -> None:
@@ -133,7 +133,7 @@ def test_remedy_where_the_gyro_does_not_allow_the_threshold() -> None:
 
 def test_remedy_is_told_before_there_is_an_attitude() -> None:
     """A gyro of 10 deg/h never gets a coarse heading: not to wait for it in vain."""
-    status = Completer(COMPLETION).update(None, 600.0, math.radians(50.0), "")
+    status = Completer(COMPLETION).update(Advance(0, None), 600.0, math.radians(50.0), "")
     assert status.state is State.COARSE
     assert "better gyro" in status.remedy
 
@@ -147,7 +147,7 @@ def test_remedy_where_the_accelerometers_do_not_allow_the_threshold() -> None:
 
 
 def test_remedy_at_the_pole() -> None:
-    assert Completer(COMPLETION).update(None, 1.0, math.nan, "").remedy == POLE_REMEDY
+    assert Completer(COMPLETION).update(Advance(0, None), 1.0, math.nan, "").remedy == POLE_REMEDY
     assert status_of(estimate(heading=1.0), limit=math.nan).remedy == POLE_REMEDY
 
 

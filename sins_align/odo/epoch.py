@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
 if TYPE_CHECKING:
     from sins_align.odo.pairing import Paired
 
 from sins_align.increments import integrate_window
-from sins_align.types import Array, ImuSampling
+from sins_align.types import Array, ImuBlock, ImuSampling
 
 
 class Travel(NamedTuple):
@@ -38,8 +39,9 @@ class AidedEpoch(NamedTuple):
     C_end, q_end : (3, 3), (4,) rotation of b at the end to b at the start
     u, s : (3,) int C f dt, int int C f dt dt [m/s], [m]
     B, BB : (3, 3) int C dt, int int C dt dt [s], [s^2]
-    unrest : largest deviations of rate and specific force from their means in the epoch
-        [rad/s], [m/s^2]
+    interval_s : between two samples
+    unrest : root of the summed variances of the axes, of rate and of specific force in the
+        epoch [rad/s], [m/s^2]
     travel : None where there is no odometer for all of the epoch
     """
 
@@ -51,13 +53,22 @@ class AidedEpoch(NamedTuple):
     s: Array
     B: Array
     BB: Array
+    interval_s: float
     unrest: tuple[float, float]
     travel: Travel | None
 
 
-def integrate_epoch(paired: Paired, sampling: ImuSampling) -> AidedEpoch:
-    """The integrals over the samples of one epoch."""
+def integrate_epoch(
+    paired: Paired,
+    sampling: ImuSampling,
+    gyro_bias: Array | None = None,
+    accel_bias: Array | None = None,
+) -> AidedEpoch:
+    """The integrals over the samples of one epoch, biases (3,) taken off [rad/s], [m/s^2]."""
     block = paired.block
+    if gyro_bias is not None and accel_bias is not None:
+        w, f = block.w_ib_b - gyro_bias[:, None], block.f_ib_b - accel_bias[:, None]
+        block = ImuBlock(block.stamp_ns, w, f)
     travelled = None
     if paired.distance is not None and paired.speed is not None:
         travelled = np.stack((paired.distance, paired.speed))
@@ -82,6 +93,7 @@ def integrate_epoch(paired: Paired, sampling: ImuSampling) -> AidedEpoch:
         s=windows.s[0],
         B=windows.B[0],
         BB=windows.BB[0],
+        interval_s=float(windows.duration_s[0]) / (block.stamp_ns.shape[0] - 1),
         unrest=(_spread(block.w_ib_b[:, 1:]), _spread(block.f_ib_b[:, 1:])),
         travel=travel,
     )

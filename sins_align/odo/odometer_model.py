@@ -99,13 +99,14 @@ class OdometerModel:
             return np.full(3, STANDING_SIGMA)
         return np.array([max(QUANTUM_SHARE * self.quantum, LEAST_SIGMA), LEAST_SIGMA, LEAST_SIGMA])
 
-    def advance(self, duration: float, standing: bool) -> tuple[Array, Array]:
+    def advance(self, duration: float) -> tuple[Array, Array]:
         """Carry the estimates over an epoch.
 
         Returns
         -------
-        (COUNT,) factors of the errors, and the variances that are added to them; the
-        position noise at the end has nothing to do with that at the start
+        (COUNT,) factors of the errors, and the variances that are added to them. The
+        position noise at the end has nothing to do with that at the start: its factor is
+        zero, and `position_sigma` what it gets
         """
         config = self._config
         factor, variance = np.ones(COUNT), np.zeros(COUNT)
@@ -116,7 +117,6 @@ class OdometerModel:
         variance[LATENCY] = config.latency_walk**2 * duration
         variance[MOUNTING] = MOUNTING_WALK**2 * duration
         variance[DIRECTION] = config.direction_sigma**2 * (1.0 - decay * decay)
-        variance[POSITION] = self.position_sigma(standing) ** 2
         self.x *= factor
         return factor, variance
 

@@ -35,6 +35,7 @@ from sins_align.odo.layout import (
 from sins_align.odo.navigation import WanderNavigation
 from sins_align.odo.odometer_model import POSITION as ODO_POSITION
 from sins_align.odo.odometer_model import SCALE, Displacement, OdometerModel
+from sins_align.odo.standing import Standing
 from sins_align.rotation import exp_rotation, skew3, unskew
 from sins_align.types import Array
 
@@ -43,11 +44,15 @@ from sins_align.types import Array
 HAND_OVER_VARIANCE = 1e-5
 LEAST_COS_LATITUDE = 1e-6
 CONSISTENCY_MEMORY = 0.95  # per epoch
+# The navigation's path in an epoch of standing: how far it may be from nothing.
+STANDING_TOLERANCE = 0.01  # [m]
+STANDING_LIMIT = 25.0  # of its normalised square
 # These stand for sensors that claim to have no noise.
 LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
 LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
 
 _ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
+_POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
 _SCALE = ODOMETER.start + SCALE
 POSITION = slice(ODOMETER.start + ODO_POSITION.start, ODOMETER.start + ODO_POSITION.stop)
 
@@ -106,10 +111,11 @@ class WanderFilter:
         variance[ODOMETER] = odometer.prior_variance()
         self.P = np.diag(variance)
 
-    def process(self, epoch: AidedEpoch, standing: bool) -> None:
+    def process(self, epoch: AidedEpoch, standing: Standing) -> bool:
         """Take in an epoch; the biases must have been taken off its samples.
 
-        With neither travel nor standing the errors grow, and nothing is measured.
+        With neither travel nor standing the errors grow, and nothing is measured. Returns
+        whether it was taken as one of a vehicle that stands.
         """
         navigation, odometer, T = self.navigation, self.odometer, epoch.duration_s
         C_start = navigation.C_ab
@@ -117,24 +123,35 @@ class WanderFilter:
         position = C_start @ (odometer.C_bm @ odometer.x[ODO_POSITION])
         course = navigation.advance(epoch)
         C_end = navigation.C_ab
-        factor, added = odometer.advance(T, standing)
+        factor, added = odometer.advance(T)
         A = self._model.transition(epoch, course, self._azimuth_basis(), rate)
         A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
         A[PATH, POSITION] = -C_start @ odometer.C_bm
         P = A @ self.P @ A.T
         self._model.add_noise(P, T)
         P[_ODOMETER_INDEX, _ODOMETER_INDEX] += added
+        stands = standing is Standing.ASSUMED or (
+            standing is Standing.POSSIBLE and self._may_stand(P, course.path - position)
+        )
         axes = C_end @ odometer.C_bm
-        position_noise = axes * added[ODO_POSITION]
+        variance = odometer.position_sigma(stands) ** 2
+        position_noise = axes * variance
+        P[_POSITION_INDEX, _POSITION_INDEX] += variance
         P[PATH, POSITION] += position_noise
         P[POSITION, PATH] += position_noise.T
         P[PATH, PATH] += position_noise @ axes.T
-        if standing or epoch.travel is not None:
+        if stands or epoch.travel is not None:
             turn = course.w_ia * T
-            seen = odometer.measure(epoch, C_start, C_end, course.path, turn, standing)
+            seen = odometer.measure(epoch, C_start, C_end, course.path, turn, stands)
             self._update(P, seen, seen.residual - position, epoch)
         else:
             self.P = P[:SIZE, :SIZE].copy()
+        return stands
+
+    def _may_stand(self, P: Array, path: Array) -> bool:
+        """Whether the navigation's path (3,) may be none at all [m]."""
+        S = P[PATH, PATH] + STANDING_TOLERANCE**2 * np.eye(3)
+        return bool(path @ np.linalg.solve(S, path) < STANDING_LIMIT)
 
     def _update(self, P: Array, seen: Displacement, innovation: Array, epoch: AidedEpoch) -> None:
         """Kalman update of the extended covariance, with the guards; feeds the state back."""

@@ -106,7 +106,7 @@ def _circle(draft: _Draft) -> None:
     stream, plan = draft.course_stream, draft.curvature
     sign = 1.0 if stream.random() < 0.5 else -1.0
     while plan.position < 12.0 * draft.end:  # no circle is driven faster
-        plan.change(sign / stream.uniform(75.0, 105.0), 25.0)
+        plan.change(sign / stream.uniform(50.0, 70.0), 25.0)
         plan.hold(stream.uniform(30.0, 120.0))
 
 

@@ -25,6 +25,7 @@ from sins_align.increments import integrate_rotation, integrate_windows, join_bl
 from sins_align.rotation import (
     dcm_from_quaternion,
     exp_rotation,
+    level_axes,
     log_rotation,
     multiply_quaternions,
     quaternion_from_dcm,
@@ -51,7 +52,7 @@ from sins_align.swing.two_stage import (
     TwoStageFilter,
     build_steps,
 )
-from sins_align.types import Array, Estimate, ImuBlock, LeverArm, Position
+from sins_align.types import Advance, Array, Estimate, ImuBlock, LeverArm, Position
 
 EPOCH_S = 0.5
 # Times at which the stored increments are run over again [s]; then every three times later.
@@ -122,8 +123,8 @@ class InertialAligner:
         self._next_refresh_s = REFRESH_S[0]
         self._next_cycle_s = 0.0
 
-    def update(self, block: ImuBlock) -> None:
-        """Take in the next block of samples."""
+    def update(self, block: ImuBlock) -> list[Advance]:
+        """Take in the next block of samples; one step at the end of a cycle."""
         self._blocks.append(block)
         if self._first_ns is None:
             self._first_ns = int(block.stamp_ns[0])
@@ -132,6 +133,9 @@ class InertialAligner:
         if now > self._next_cycle_s - 0.5:
             self._next_cycle_s = now + min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
             self._end_cycle(now)
+        elif self._estimate is not None:
+            return []
+        return [Advance(int(block.stamp_ns[-1]), self._estimate)]
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """The estimate from all samples to the end of `block`; changes nothing.
@@ -224,7 +228,7 @@ class InertialAligner:
         """Attitude from nothing: the model's force is minus the mean measured one."""
         up = self._epochs.u.sum(axis=0)
         up /= np.linalg.norm(up)
-        level = _any_rotation_with_up(up)
+        level = level_axes(up)
         self._about = Linearisation(level, np.zeros(3))
         self._filter, self._filtered = TwoStageFilter(self._noise), 0
         self._solution = None
@@ -313,10 +317,3 @@ class InertialAligner:
         covariance = covariance + self._config.lever_arm_prior_sigma**2 * unknown
         x, y, z = (bool(share < 0.1) for share in frozen.diagonal())
         return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
-
-
-def _any_rotation_with_up(up: Array) -> Array:
-    """Columns east, north, up with the given up and an east of no meaning: (3, 3)."""
-    east = np.cross(np.eye(3)[int(np.argmin(np.abs(up)))], up)
-    east /= np.linalg.norm(east)
-    return np.column_stack((east, np.cross(up, east), up))

@@ -26,7 +26,7 @@ from sins_align.swing.paper_lever import LeverRegression, RegressionNoise
 from sins_align.swing.paper_navigation import Motion, make_grid, navigate_attitude
 from sins_align.swing.paper_schedule import Event, events
 from sins_align.swing.paper_stream import SampleStream, Stretch
-from sins_align.types import Array, Estimate, ImuBlock, ImuSampling, LeverArm, Position
+from sins_align.types import Advance, Array, Estimate, ImuBlock, ImuSampling, LeverArm, Position
 
 
 class PaperAligner:
@@ -88,8 +88,15 @@ class PaperAligner:
         paper = self._config.paper
         return make_differentiator(paper.differentiator, paper.eso_bandwidth)
 
-    def update(self, block: ImuBlock) -> None:
-        """Take in the next block of samples."""
+    def update(self, block: ImuBlock) -> list[Advance]:
+        """Take in the next block of samples; a step, unless the estimate is an older one."""
+        self._take_in(block)
+        stamp_ns, estimate = int(block.stamp_ns[-1]), self.estimate
+        if estimate is not None and estimate.stamp_ns != stamp_ns:
+            return []
+        return [Advance(stamp_ns, estimate)]
+
+    def _take_in(self, block: ImuBlock) -> None:
         if self._regression is None:
             self._first_ns = self._stamp_ns = int(block.stamp_ns[0])
             self._regression = self._make_regression(block)

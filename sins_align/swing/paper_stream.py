@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.increments import fill_gaps, rotation_increments, uniform_step
+from sins_align.gaps import fill_gaps
+from sins_align.increments import rotation_increments, uniform_step
 from sins_align.types import Array, ImuBlock, ImuSampling
 
 
