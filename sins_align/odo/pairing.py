@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.config import OdometerConfig
-from sins_align.odo.track import SAME_S, OdometerTrack
+from sins_align.odo.knots import SAME_S
+from sins_align.odo.track import OdometerTrack
 from sins_align.types import Array, ImuBlock, IntArray, OdometerSamples
 
 EPOCH_S = 1.0
@@ -98,8 +99,7 @@ class Pairing:
 
     def _pair(self, track: OdometerTrack, delay_s: float) -> Paired | None:
         stamps = self._stamp_ns
-        t = track.times(stamps) + delay_s
-        begin = float(t[0])
+        begin = track.time(int(stamps[0])) + delay_s
         track.drop_before(begin - MARGIN_S)
         track.settle()
         overdue = bool(stamps[-1] - stamps[0] >= self._patience_ns)
@@ -111,6 +111,7 @@ class Pairing:
         if knot is None:
             return self._finish(self._nearest_to_second(), None)
         at = float(track.knots[knot])
+        t = track.times(stamps) + delay_s
         if t[-1] < at - SAME_S:
             return None
         if track.begins_at(knot):
