@@ -5,6 +5,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 NAME = "sins_align"
+PACKAGES = (NAME, "swing_align_ros", "odo_align_ros")
 
 setup(
     name=NAME,
@@ -18,7 +19,7 @@ setup(
     python_requires=">=3.10",
     package_dir={"": "."},  # said in so many words, an editable install is one plain .pth line
     packages=find_packages(
-        include=[NAME, f"{NAME}.*", "swing_align_ros", "swing_align_ros.*"],
+        include=[f"{name}{part}" for name in PACKAGES for part in ("", ".*")],
     ),
     package_data={NAME: ["py.typed"]},
     data_files=[
@@ -49,6 +50,7 @@ setup(
     entry_points={
         "console_scripts": [
             "swing_align = swing_align_ros.node:main",
+            "odo_align = odo_align_ros.node:main",
             "align_replay = sins_align.ros.replay_command:main",
             "align_simulate = sins_align.ros.simulate_command:main",
             "align_synth = sins_align.ros.synth_node:main",

@@ -93,7 +93,9 @@ def test_json_to_stdout_is_all_there_is(replay: Any, bag: Path) -> None:
         "sigma_arcmin", "heading_limit_arcmin", "gyro_bias_rad_s", "gyro_bias_sigma_rad_s",
         "accel_bias_m_s2", "accel_bias_sigma_m_s2", "lever_arm_m", "lever_arm_sigma_m",
         "lever_arm_observable", "odometer_scale_error", "odometer_scale_sigma",
-        "mounting_rpy_deg", "consistency", "input", "timing",
+        "mounting_rpy_deg", "mounting_sigma_deg", "odometer_latency_s",
+        "odometer_latency_sigma_s", "odometer_lever_arm_m", "odometer_lever_arm_sigma_m",
+        "consistency", "input", "timing",
     ]  # fmt: skip
 
 
@@ -213,7 +215,7 @@ def test_what_is_computed_is_shown_though_it_cannot_be_written(replay: Any, bag:
     [
         ([], "required"),
         (["swing"], "BAG"),
-        (["odo", "x"], "odo"),
+        (["odo", "/nonexistent"], "/nonexistent"),
         (["fly", "x"], "fly"),
         (["swing", "/nonexistent"], "/nonexistent"),
         (["swing", "BAG", "--imu-topic", "/other"], "/other"),

@@ -66,6 +66,19 @@ def test_what_came_too_late_goes_where_it_came() -> None:
                                                      ([3.0, 4.0], 15)]  # fmt: skip
 
 
+def test_nothing_goes_more_than_five_seconds_early() -> None:
+    came = list(range(700, 16_000, 1000))
+    late = [3200 if stamp == 2700 else stamp for stamp in came]
+    feed = OdometerFeed(recording(came, late), Part(), 0.3)
+    assert handed_over(feed, portions(1500, 1500)) == [
+        ([0.0, 1.0], 319),
+        ([2.0, 3.0, 4.0], 181),
+        ([5.0, 6.0, 7.0, 8.0, 9.0], 500),
+        ([10.0, 11.0, 12.0, 13.0, 14.0], 500),
+    ]
+    assert feed.rest().speed.tolist() == [15.0]
+
+
 def test_a_part_of_the_bag_is_the_same_part_of_both() -> None:
     stamps = list(range(0, 3000, 100))
     part = Part(1.0, 0.5)

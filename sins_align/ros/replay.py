@@ -7,12 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from sins_align.config import ConfigError, SwingConfig
-from sins_align.ros.bags import Bag
+from sins_align.config import ConfigError, OdoConfig, SwingConfig
+from sins_align.ros.bags import Bag, Part
 from sins_align.ros.publish_grid import PublishGrid, find_sample
+from sins_align.ros.replay_feed import OdometerFeed
 from sins_align.ros.truth import Truth
 from sins_align.session import Session, Update
-from sins_align.types import Array, Estimate, ImuSamples
+from sins_align.types import Array, Estimate, ImuSamples, OdometerSamples
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,23 @@ class Replay:
     records: list[AttitudeRecord] = field(default_factory=list)
     estimate_s: float = 0.0
 
-    def add(self, samples: ImuSamples) -> None:
-        """Take in samples."""
+    def add(self, samples: ImuSamples, grid: PublishGrid | None = None) -> None:
+        """Take in samples; with a grid, keep a record where the live node would publish."""
+        if grid is not None:
+            samples = self._add_recorded(samples, grid)
         begin = time.perf_counter()
         self.updates += self.session.add_imu(samples)
         self.estimate_s += time.perf_counter() - begin
 
-    def add_recorded(self, samples: ImuSamples, grid: PublishGrid) -> None:
-        """Take in samples, and keep a record where the live node would publish."""
+    def add_odometer(self, samples: OdometerSamples) -> None:
+        """Take in samples of the odometer."""
+        if len(samples):
+            begin = time.perf_counter()
+            self.updates += self.session.add_odometer(samples)
+            self.estimate_s += time.perf_counter() - begin
+
+    def _add_recorded(self, samples: ImuSamples, grid: PublishGrid) -> ImuSamples:
+        """Take in samples up to the last output; the rest."""
         begin = 0
         for k, stamp in enumerate(samples.stamp_ns.tolist()):
             if grid.reached(stamp):
@@ -52,7 +62,7 @@ class Replay:
                 self.add(part)
                 self._record(part)
                 begin = k + 1
-        self.add(samples.select(slice(begin, None)))
+        return samples.select(slice(begin, None))
 
     def _record(self, samples: ImuSamples) -> None:
         estimate = self.session.estimate
@@ -79,7 +89,7 @@ class Outcome(NamedTuple):
     frame_id: str
 
 
-def open_session(config: SwingConfig, bag: Bag, fix_topic: str | None) -> Session:
+def open_session(config: SwingConfig | OdoConfig, bag: Bag, fix_topic: str | None) -> Session:
     """A session at the configured position, else at that of the bag's first valid fix.
 
     Raises
@@ -103,9 +113,9 @@ def run_replay(
     bag: Bag,
     session: Session,
     imu_topic: str | None,
+    odom_topic: str | None = None,
     *,
-    start_s: float = 0.0,
-    duration_s: float | None = None,
+    part: Part | None = None,
     progress: Callable[[float], None] | None = None,
     record_rate_hz: float | None = None,
 ) -> Replay:
@@ -113,8 +123,8 @@ def run_replay(
 
     Parameters
     ----------
-    imu_topic : None: the only one
-    start_s, duration_s : part of the bag, by stamp, from its first sample on [s]
+    imu_topic, odom_topic : None: the only one
+    part : of the bag, None: all of it
     progress : told the part that is done, 0 to 1
     record_rate_hz : rate of the records, None: without
 
@@ -123,13 +133,33 @@ def run_replay(
     BagError : no such topic, or no samples
     """
     topic = bag.find_topic("imu", imu_topic)
+    part = part or Part()
     replay = Replay(session)
     grid = None if record_rate_hz is None else PublishGrid(record_rate_hz)
-    for samples in bag.read_imu(
-        topic.name, start_s=start_s, duration_s=duration_s, progress=progress
-    ):
-        if grid is None:
-            replay.add(samples)
-        else:
-            replay.add_recorded(samples, grid)
+    feed, read_s = _open_feed(bag, session.config, odom_topic, part)
+    for portion in bag.read_portions(topic.name, part, progress):
+        if feed is None:
+            replay.add(portion.samples, grid)
+            continue
+        for odometer, samples in feed.pieces(portion):
+            replay.add_odometer(odometer)
+            replay.add(samples, grid)
+    if feed is not None:
+        replay.add_odometer(feed.rest())
+    bag.report.read_s += read_s
     return replay
+
+
+def _open_feed(
+    bag: Bag, config: SwingConfig | OdoConfig, odom_topic: str | None, part: Part
+) -> tuple[OdometerFeed | None, float]:
+    """The odometer, None where none is needed, and the time spent on reading it [s].
+
+    Raises
+    ------
+    BagError : it is needed, or was asked for, and is not there
+    """
+    if not isinstance(config, OdoConfig) or (config.stationary and not odom_topic):
+        return None, 0.0
+    recording = bag.read_odometer(bag.find_topic("odom", odom_topic).name)
+    return OdometerFeed(recording, part, config.odometer.timeout_s), recording.read_s

@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from sins_align.ros.command import ALIGNED, NOT_ALIGNED, Parser, run_command, say
 
 NAME = "align_replay"
-NODE = "swing_align"
+NODES = {"swing": "swing_align", "odo": "odo_align"}
 _MAX_SECONDS = 1e9  # in nanoseconds it must fit into 64 bits
 POSITION = ("latitude_deg", "longitude_deg", "altitude_m")
 
@@ -31,11 +31,9 @@ def main(args: Sequence[str] | None = None) -> int:
     begin = time.perf_counter()
     parser = _parser()
     options = parser.parse_args(args)
-    if options.kind == "odo":
-        parser.error("odo: alignment with an odometer is not there yet")
     if options.bag and options.out is None:
         parser.error("--bag needs --out DIR")
-    return run_command(NAME, lambda: _replay_swing(options, begin))
+    return run_command(NAME, lambda: _replay(options, begin))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -43,17 +41,21 @@ def _parser() -> argparse.ArgumentParser:
         prog=NAME, description="Align over recorded data: the same estimation as the live node.",
         epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
-    kinds = parser.add_subparsers(dest="kind", required=True, metavar="swing")
-    odo = kinds.add_parser("odo", add_help=False)
-    odo.add_argument("rest", nargs=argparse.REMAINDER)
-    odo.set_defaults(bag=False)
-    swing = kinds.add_parser(
-        "swing", help="on a swinging or still base, as the node swing_align", epilog=EPILOG,
-        description="Align on a swinging or still base, as the node swing_align does.",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )  # fmt: skip
-    _add_input_options(swing)
-    _add_output_options(swing)
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="|".join(NODES))
+    for name, what in (
+        ("swing", "on a swinging or still base"),
+        ("odo", "of a vehicle, with its odometer"),
+    ):
+        kind = kinds.add_parser(
+            name, help=f"{what}, as the node {NODES[name]}", epilog=EPILOG,
+            description=f"Align {what}, as the node {NODES[name]} does.",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
+        _add_input_options(kind)
+        if name == "odo":
+            kind.add_argument("--odom-topic", metavar="T", help="needed where there are several")
+        kind.set_defaults(odom_topic=None)
+        _add_output_options(kind)
     return parser
 
 
@@ -102,37 +104,38 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _replay_swing(options: argparse.Namespace, begin: float) -> int:
-    from sins_align.config import swing_config
+def _replay(options: argparse.Namespace, begin: float) -> int:
+    from sins_align.config import odo_config, swing_config
     from sins_align.parameters import check_values
-    from sins_align.ros.bags import open_bag
+    from sins_align.ros.bags import Part, open_bag
     from sins_align.ros.parameter_values import read_values
     from sins_align.ros.replay import Outcome, open_session, run_replay
     from sins_align.ros.replay_output import CHART_RATE_HZ, print_outcome, write_outcome
     from sins_align.ros.result import Timing, result_document, write_result
     from sins_align.ros.truth import read_truth
 
-    values = read_values(NODE, options.params, options.overrides)
+    node = NODES[options.kind]
+    values = read_values(node, options.params, options.overrides)
     given = {key: getattr(options, key) for key in POSITION}
     values.update({key: value for key, value in given.items() if value is not None})
-    config = swing_config(values)
+    config = odo_config(values) if options.kind == "odo" else swing_config(values)
     truth = read_truth(options.truth) if options.truth else None
     if options.out:
         options.out.mkdir(parents=True, exist_ok=True)  # a bad one is known before the work
     rate: Any = CHART_RATE_HZ if options.out else None
     if options.bag:
-        rate = check_values(NODE, values)["publish_rate_hz"]
+        rate = check_values(node, values)["publish_rate_hz"]
     with open_bag(options.bags) as bag, _progress(options.quiet) as progress:
         replay = run_replay(
-            bag, open_session(config, bag, options.fix_topic), options.imu_topic,
-            start_s=options.start, duration_s=options.duration,
+            bag, open_session(config, bag, options.fix_topic),
+            options.imu_topic, options.odom_topic, part=Part(options.start, options.duration),
             progress=progress, record_rate_hz=rate,
         )  # fmt: skip
     for warning in bag.warnings:
         print(f"{NAME}: warning: {warning}", file=sys.stderr)
     estimate = replay.session.conclusion
     timing = Timing(time.perf_counter() - begin, bag.report.read_s, replay.estimate_s)
-    document = result_document(NODE, replay.session, estimate, timing)
+    document = result_document(node, replay.session, estimate, timing)
     outcome = Outcome(
         ", ".join(map(str, options.bags)), replay, estimate, document, truth,
         min(bag.report.frame_ids, default=""),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from sins_align.ros.bags_portions import Part, Portion
 from sins_align.ros.odometer import OdometerRecording
 from sins_align.types import ImuSamples, OdometerSamples
+
+EARLY_NS = 5_000_000_000
 
 _NS = 1_000_000_000
 
@@ -24,9 +27,9 @@ class Piece(NamedTuple):
 class OdometerFeed:
     """Cuts portions of the IMU where the odometer has to come in between.
 
-    A session takes the odometer early without any change of its results, and late by so much
-    as it waits for it. A sample that came in time is therefore handed over with the portion
-    in which it came. One that came too late is handed over where it came, as it was live.
+    A session takes the odometer some seconds early without any change of its results, and
+    late by so much as it waits for it. A sample that came in time is therefore handed over up
+    to EARLY_NS early. One that came too late is handed over where it came, as it was live.
 
     Parameters
     ----------
@@ -53,12 +56,13 @@ class OdometerFeed:
         # How many samples of this portion came before each of the odometer's.
         place = np.searchsorted(log_time, self._log_time[self._next : end])
         newest = np.concatenate(([self._newest_ns], np.maximum.accumulate(imu.stamp_ns)))
-        late = newest[place] > odometer.stamp_ns + self._timeout_ns
-        begin, first = 0, 0
-        for k in np.flatnonzero(late).tolist():
-            yield Piece(odometer.select(slice(begin, k)), imu.select(slice(first, place[k])))
-            begin, first = k, int(place[k])
-        yield Piece(odometer.select(slice(begin, None)), imu.select(slice(first, None)))
+        late = (newest[place] > odometer.stamp_ns + self._timeout_ns).nonzero()[0]
+        edges = np.diff((log_time - log_time[0]) // EARLY_NS).nonzero()[0] + 1
+        # Both numbers grow from cut to cut.
+        cuts = {*zip(late.tolist(), place[late].tolist(), strict=True)}
+        cuts |= {*zip(np.searchsorted(place, edges).tolist(), edges.tolist(), strict=True)}
+        for (k, first), (m, last) in pairwise([(0, 0), *sorted(cuts), (len(odometer), len(imu))]):
+            yield Piece(odometer.select(slice(k, m)), imu.select(slice(first, last)))
         self._next, self._newest_ns = end, int(max(newest[0], newest[-1]))
 
     def rest(self) -> OdometerSamples:

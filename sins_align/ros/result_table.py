@@ -73,9 +73,9 @@ def _odometer_rows(odometer: OdometerEstimate, truth: Truth | None) -> Iterator[
         truth.odometer_lever_arm,
     )  # fmt: skip
     yield from _vector_rows(
-        "mounting", "deg", odometer.mounting_rpy / DEG, mounting_sigma(odometer) / DEG,
-        truth.mounting_rpy_deg,
-        axes=("roll", "pitch", "yaw"),
+        "mounting", "deg", odometer.mounting_rpy[1:] / DEG, mounting_sigma(odometer)[1:] / DEG,
+        None if truth.mounting_rpy_deg is None else truth.mounting_rpy_deg[1:],
+        axes=("pitch", "yaw"),  # a forward speed does not tell the roll
     )  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""The node `odo_align`."""
