@@ -16,8 +16,8 @@ HAMPEL_SIDE = 4
 HAMPEL_S = 0.45
 HAMPEL_LEAST = 5
 HAMPEL_M_S = 0.9
-# A threshold near one step of quantisation biases the scale.
-HAMPEL_QUANTA = 3.0
+# A threshold near one step of quantisation biases the scale: three of them, and some rounding.
+HAMPEL_QUANTA = 3.1
 # Slower than this a window holds too few samples, and no sample has to wait for the next ones.
 HAMPEL_INTERVAL_S = 2.0 * HAMPEL_S / (HAMPEL_LEAST - 1)
 
@@ -66,15 +66,14 @@ def find_outliers(
     near = v[first:last]
     if near.shape[0] < HAMPEL_LEAST:
         return None
-    # Quick answers for nearly all. No window can hold enough:
-    few = HAMPEL_LEAST - 1
-    if (
-        t[first + few : last] - t[first : last - few][: near.shape[0] - few]
-    ).min() > 2.0 * HAMPEL_S:
-        return None
-    # Half of a window can only be apart when one of the two next ones on either side is.
+    # Quick answers for nearly all. Half of a window can only be apart from a sample when one of
+    # the two next ones on either side is.
     one, two = near[1:] - near[:-1], near[2:] - near[:-2]
     if max(one.max(), -one.min(), two.max(), -two.min()) <= HAMPEL_M_S:
+        return None
+    # No window can hold enough.
+    spans = t[first + HAMPEL_LEAST - 1 : last] - t[first : first + near.shape[0] - HAMPEL_LEAST + 1]
+    if spans.min() > 2.0 * HAMPEL_S:
         return None
     usual = usual_steps(t, begin, end)
     threshold = np.maximum(HAMPEL_M_S, HAMPEL_QUANTA * quantum / usual)

@@ -23,16 +23,18 @@ WINDOW = 256
 
 # A value fits when it is so near to a multiple [counts]; chance does that to three in ten.
 FIT = 0.15
-FITTING = 0.9  # so many have to, outliers are few
+# So many have to fit, outliers being few; of the differences fewer, as an outlier spoils several.
+FITTING = 0.9
 COARSE_FITTING = 0.65
+# Outliers may have hidden a step behind one of its parts; when in doubt, it is the coarser one.
+MULTIPLE_FITTING = 0.8
+_MULTIPLES = (6, 5, 4, 3, 2, 1)
 EVIDENCE = 20
 # Steps between values are compared with candidates up to so many counts, which may then be
 # apart by `_SPACING`.
 _MOST_COUNTS = 3.5
 _SPACING = 0.04
 _CANDIDATES = np.exp(-_SPACING * np.arange(round(np.log(4096.0) / _SPACING)))
-# Outliers may hide a step behind one of its parts.
-_MULTIPLES = (6, 5, 4, 3, 2, 1)
 # Equal but for rounding, relative to the largest.
 _ROUNDING = 1e-6
 # The step from values up to so many counts tells values up to the next number of counts.
@@ -103,11 +105,20 @@ class QuantumFinder:
         if speed.shape[0] < EVIDENCE:
             return
         usual = float(np.median(length))
-        self._jump = float(np.quantile(np.abs(np.diff(speed)), 0.9)) * usual
+        self._jump = _usual_jump(speed) * usual
         found = find_grid(speed) * usual
         if np.abs(length - usual).max() > _ROUNDING * usual:
             found = max(found, find_grid(speed * length))
         self.quantum = _agree(self.quantum, found)
+
+
+def _usual_jump(speed: Array) -> float:
+    """What the speed (n,) changes by from sample to sample; outliers do not count [m/s]."""
+    jumps = np.abs(np.diff(speed))
+    # A coarse count seldom changes, and then by no less than one.
+    changes = jumps[jumps > _ROUNDING * np.abs(speed).max()]
+    least = float(np.quantile(changes, 0.25)) if changes.shape[0] else 0.0
+    return max(float(np.quantile(jumps, 0.9)), least)
 
 
 def _agree(old: float, new: float) -> float:
@@ -126,18 +137,24 @@ def find_grid(x: Array) -> float:
         return 0.0
     # What lies between values one after the other, and between neighbours by size: a fast
     # odometer tells by the ones, a slow one by the others.
-    apart = np.concatenate((np.abs(np.diff(x)), np.diff(np.sort(size))))
+    changes = np.abs(np.diff(x))
+    apart = np.concatenate((changes, np.diff(np.sort(size))))
     apart = apart[apart > _ROUNDING * largest]
-    bend = np.abs(np.diff(x, n=2))
+    # Changes that are all alike are those of a steady acceleration.
+    bends = np.abs(np.diff(x, n=2))
     for step in _coarse_steps(apart, largest).tolist():
         refined = _refine(apart, step, _MOST_COUNTS)
         for counts in _WIDER:
             refined = _refine(size, refined, counts)
+        if not _is_multiple(size, refined, FITTING):
+            continue
         for multiple in _MULTIPLES:
             coarser = multiple * refined
-            # Steps that are all alike are those of a steady acceleration: they have to change.
-            bends = np.count_nonzero(bend > 0.5 * coarser)
-            if bends >= EVIDENCE and _is_multiple(size, coarser):
+            if (
+                np.count_nonzero(bends > 0.5 * coarser) >= EVIDENCE
+                and _is_multiple(changes, coarser, COARSE_FITTING)
+                and _is_multiple(size, coarser, MULTIPLE_FITTING)
+            ):
                 return coarser
     return 0.0
 
@@ -162,9 +179,9 @@ def _refine(values: Array, step: float, most: float) -> float:
     return float(values[near] @ n / (n @ n)) if n.shape[0] else step
 
 
-def _is_multiple(values: Array, step: float) -> bool:
-    """Whether the values (n,) are multiples of a step, and enough of them not of zero."""
+def _is_multiple(values: Array, step: float, fitting: float) -> bool:
+    """Whether the values (n,), but for some, are multiples of a step, and enough not of zero."""
     counts = values / step
     counts = counts[counts > FIT]
     on = np.count_nonzero(np.abs(counts - np.rint(counts)) <= FIT)
-    return on >= max(EVIDENCE, FITTING * counts.shape[0])
+    return on >= max(EVIDENCE, fitting * counts.shape[0])
