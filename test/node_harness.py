@@ -16,10 +16,22 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 ROOT = Path(__file__).resolve().parent.parent
 SWING = "swing_align_ros.node"
+ODO = "odo_align_ros.node"
 SYNTH = "sins_align.ros.synth_node"
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RELIABLE = QoSProfile(depth=1000)
+TEXTS = {"state", "reason", "remedy"}
+# Of the diagnostics of every node; values of those that are no texts are numbers.
+KEYS = TEXTS | {
+    "elapsed_s", "sigma_east_arcmin", "sigma_north_arcmin", "sigma_heading_arcmin",
+    "heading_limit_arcmin", "eta_s", "consistency", "imu_rate_hz", "imu_gaps", "imu_rejected",
+    "odom_rejected",
+}  # fmt: skip
 
 # One a worker; domains beyond 101 meet the system's ephemeral ports.
 DOMAIN = 1 + os.getpid() % 100
@@ -59,6 +71,15 @@ def running(module: str, *words: str, log: Path) -> Iterator[subprocess.Popen[by
             if process.poll() is None:
                 process.kill()
             process.wait()
+
+
+def diagnostic_values(message: Any) -> dict[str, str]:
+    """The keys and values of a DiagnosticArray of one status."""
+    return {entry.key: entry.value for entry in message.status[0].values}
+
+
+def stamp_ns(message: Any) -> int:
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
 
 
 def stop(process: subprocess.Popen[bytes], number: int = signal.SIGINT) -> int:
