@@ -172,6 +172,28 @@ def velocity_increments(t: Array, w: Array, f: Array, theta: Array, step: float 
     return dv + 0.5 * turned + cross(theta, turned) / 6.0 + sculling * (dt * dt * dt / 12.0)
 
 
+def mean_increments(t: Array, w: Array, f: Array, step: float | None) -> tuple[Array, Array]:
+    """`rotation_increments` and `velocity_increments` from interval means, quicker together."""
+    dt = np.diff(t) if step is None else step
+    cubic = dt * dt * dt / 12.0
+    mean = np.concatenate((w[:, 1:], f[:, 1:]))
+    slope = _slope(t, mean, step)
+    n = mean.shape[1]
+    # w x dw/dt, w x df/dt, f x dw/dt: axis, product, interval.
+    left = mean.reshape(2, 3, n)[[0, 0, 1]].swapaxes(0, 1)
+    right = slope.reshape(2, 3, n)[[0, 1, 0]].swapaxes(0, 1)
+    coning, sculling, rowing = cross(left, right).swapaxes(0, 1)
+    mean *= dt
+    theta = mean[:3] + cubic * coning
+    dv = mean[3:]
+    turned = cross(theta, dv)
+    du = dv + 0.5 * turned
+    du += cross(theta, turned) * (1.0 / 6.0)
+    sculling += rowing
+    du += cubic * sculling
+    return theta, du
+
+
 def join_blocks(blocks: Sequence[ImuBlock]) -> ImuBlock:
     """Consecutive blocks as one; each begins with the last sample of the one before."""
     if len(blocks) == 1:
@@ -217,17 +239,17 @@ class _Nodes(NamedTuple):
 def _rotate_nodes(block: ImuBlock, sampling: ImuSampling) -> _Nodes:
     t = (block.stamp_ns - block.stamp_ns[0]) * 1e-9
     step = uniform_step(t)
-    theta = rotation_increments(t, block.w_ib_b, sampling, step)
-    q = cumulative_rotation(quaternion_from_rotation_vector(theta))
-    rows = np.zeros((12, t.shape[0]))
-    C = dcm_from_quaternion(q, out=rows[:9].reshape(3, 3, -1))
     f = block.f_ib_b
     if sampling is ImuSampling.MEAN:
+        theta, du = mean_increments(t, block.w_ib_b, f, step)
         f = np.zeros_like(f)
-        f[:, :-1] = velocity_increments(t, block.w_ib_b, block.f_ib_b, theta, step)
-    rows[9:] = C[:, 0] * f[0]
-    rows[9:] += C[:, 1] * f[1]
-    rows[9:] += C[:, 2] * f[2]
+        f[:, :-1] = du
+    else:
+        theta = rotation_increments(t, block.w_ib_b, sampling, step)
+    q = cumulative_rotation(quaternion_from_rotation_vector(theta))
+    rows = np.empty((12, t.shape[0]))
+    C = dcm_from_quaternion(q, out=rows[:9].reshape(3, 3, -1))
+    np.einsum("ijn,jn->in", C, f, out=rows[9:])
     return _Nodes(t, step, q, rows)
 
 

@@ -64,6 +64,12 @@ def skew3(v: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def unskew3(M: Array) -> Array:
+    """`unskew` of one matrix (3, 3), quicker."""
+    (_, xy, xz), (yx, _, yz), (zx, zy, _) = M.tolist()
+    return np.array([0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])
+
+
 def exp_rotation(phi: Array) -> Array:
     """C = Exp([phi x]), Rodrigues; phi (3,) [rad], result (3, 3)."""
     x, y, z = phi.tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -69,6 +70,9 @@ def integrate_epoch(
     if gyro_bias is not None and accel_bias is not None:
         w, f = block.w_ib_b - gyro_bias[:, None], block.f_ib_b - accel_bias[:, None]
         block = ImuBlock(block.stamp_ns, w, f)
+    n = block.stamp_ns.shape[0] - 1
+    values = np.concatenate((block.w_ib_b[:, 1:], block.f_ib_b[:, 1:]))
+    sums, squares = values.sum(axis=1).tolist(), np.einsum("in,in->i", values, values).tolist()
     travelled = None
     if paired.distance is not None and paired.speed is not None:
         travelled = np.stack((paired.distance, paired.speed))
@@ -93,12 +97,13 @@ def integrate_epoch(
         s=windows.s[0],
         B=windows.B[0],
         BB=windows.BB[0],
-        interval_s=float(windows.duration_s[0]) / (block.stamp_ns.shape[0] - 1),
-        unrest=(_spread(block.w_ib_b[:, 1:]), _spread(block.f_ib_b[:, 1:])),
+        interval_s=float(windows.duration_s[0]) / n,
+        unrest=(_spread(sums[:3], squares[:3], n), _spread(sums[3:], squares[3:], n)),
         travel=travel,
     )
 
 
-def _spread(values: Array) -> float:
-    """Root of the sum of the variances of the three axes."""
-    return float(np.sqrt(values.var(axis=1).sum()))
+def _spread(sums: list[float], squares: list[float], n: int) -> float:
+    """Root of the summed variances of the axes, from their sums and sums of squares."""
+    variance = sum(q / n - (x / n) ** 2 for x, q in zip(sums, squares, strict=True))
+    return math.sqrt(max(variance, 0.0))

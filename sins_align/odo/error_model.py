@@ -36,6 +36,14 @@ from sins_align.odo.navigation import Course
 from sins_align.rotation import skew3
 from sins_align.types import Array
 
+# Epochs come in few lengths; irregular stamps must not fill the memory.
+KEPT_DURATIONS = 32
+
+_EYE = np.eye(3)
+_GYRO_ROWS = np.r_[PHI, VELOCITY, PATH]
+_BIAS_INDEX = np.r_[GYRO_BIAS]
+_PATH_INDEX, _VELOCITY_INDEX = np.r_[PATH], np.r_[VELOCITY]
+
 
 @dataclass(frozen=True)
 class ImuNoise:
@@ -56,8 +64,7 @@ class ErrorModel:
         self._noise = noise
         self._transition = np.zeros((EXTENDED, SIZE))
         self._transition[:SIZE, :SIZE] = np.eye(SIZE)
-        self._noise_duration = 0.0
-        self._noise_9 = np.zeros((9, 9))
+        self._Q: dict[float, Array] = {}
 
     def transition(self, epoch: AidedEpoch, course: Course, azimuth: Array, rate: float) -> Array:
         """(EXTENDED, SIZE): the state at the end of the epoch, with d, from that at its start.
@@ -71,40 +78,37 @@ class ErrorModel:
         rate : r, mean over the epoch [rad/s]
         """
         A, T, C = self._transition, epoch.duration_s, course.C_start
-        force = skew3(course.U / T)
+        U, S = course.U, course.S
+        force = skew3(U / T)
         CB, CBB = C @ epoch.B, C @ epoch.BB
         axis = EARTH_RATE * azimuth
-        A[PHI, PHI] = np.eye(3) - T * skew3(course.w_ia)
+        A[PHI, PHI] = _EYE - skew3(T * course.w_ia)
         A[0, 4], A[1, 3] = -T / course.radius, T / course.radius
         A[:2, AZIMUTH] = T * axis
-        A[PHI, GYRO_BIAS] = -CB
-        A[VELOCITY, PHI] = skew3(course.U)
-        A[VELOCITY, VELOCITY] = np.eye(3) - T * skew3(course.w_2)
-        delayed = skew3(T * course.U - course.S + 2.0 * course.path)
-        A[VELOCITY, AZIMUTH] = delayed[:, :2] @ axis
-        A[VELOCITY, GYRO_BIAS] = -force @ CBB
+        A[VELOCITY, PHI] = skew3(U)
+        A[VELOCITY, VELOCITY] = _EYE - skew3(T * course.w_2)
+        A[VELOCITY, AZIMUTH] = skew3(T * U - S + 2.0 * course.path)[:, :2] @ axis
         A[VELOCITY, ACCEL_BIAS] = CB
-        A[PATH, PHI] = skew3(course.S)
-        A[PATH, VELOCITY] = T * np.eye(3)
-        A[PATH, AZIMUTH] = force[:, :2] @ ((T**3 / 6.0) * axis)
-        A[PATH, GYRO_BIAS] = (-T * T / 6.0) * (force @ CB)
+        A[PATH, PHI] = skew3(S)
+        A[_PATH_INDEX, _VELOCITY_INDEX] = T
+        A[PATH, AZIMUTH] = force[:, :2] @ ((T * T * T / 6.0) * axis)
         A[PATH, ACCEL_BIAS] = CBB
-        for rows in (PHI, VELOCITY, PATH):
-            A[rows, GYRO_TURN] = rate * A[rows, GYRO_BIAS]
+        bias = np.concatenate((CB, force @ CBB, force @ (CB * (T * T / 6.0))))
+        A[_GYRO_ROWS, GYRO_BIAS] = -bias
+        A[_GYRO_ROWS, GYRO_TURN] = -rate * bias
         return A
 
-    def add_noise(self, P: Array, duration: float) -> None:
-        """Add the IMU's noise of an epoch to the extended covariance P, in place."""
-        if duration != self._noise_duration:
-            self._noise_9 = white_noise(self._noise, duration)
-            self._noise_duration = duration
-        Q = self._noise_9
-        P[:6, :6] += Q[:6, :6]
-        P[:6, PATH] += Q[:6, 6:]
-        P[PATH, :6] += Q[6:, :6]
-        P[PATH, PATH] += Q[6:, 6:]
-        walk = self._noise.gyro_walk**2 * duration
-        P[range(GYRO_BIAS.start, GYRO_BIAS.stop), range(GYRO_BIAS.start, GYRO_BIAS.stop)] += walk
+    def noise(self, duration: float) -> Array:
+        """(EXTENDED, EXTENDED) covariance that the IMU's noise adds over a time [s]."""
+        Q = self._Q.get(duration)
+        if Q is None:
+            Q = np.zeros((EXTENDED, EXTENDED))
+            Q[np.ix_(_GYRO_ROWS, _GYRO_ROWS)] = white_noise(self._noise, duration)
+            Q[_BIAS_INDEX, _BIAS_INDEX] = self._noise.gyro_walk**2 * duration
+            if len(self._Q) >= KEPT_DURATIONS:
+                self._Q.clear()
+            self._Q[duration] = Q
+        return Q
 
 
 def white_noise(noise: ImuNoise, duration: float) -> Array:

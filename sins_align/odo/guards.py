@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-import numpy as np
-
 from sins_align.types import Array
 
 # 99 % of chi-square with three degrees of freedom.
@@ -63,16 +61,15 @@ class ScaleJump:
         )
         if len(self._votes) < JUMP_EPOCHS:
             return None
-        a, b, nis = np.array(self._votes).T
-        jump = float(b.sum() / a.sum())
-        ratio = float(b.sum()) ** 2 / float(a.sum())
-        agree = np.abs(b / a - jump) <= JUMP_AGREEMENT * abs(jump)
-        if (
-            ratio > JUMP_LEAST_RATIO
-            and abs(jump) < JUMP_GREATEST
-            and bool(agree.all())
-            and ratio > JUMP_SHARE * float(nis.sum())
-        ):
+        a = sum(vote.a for vote in self._votes)
+        b = sum(vote.b for vote in self._votes)
+        nis = sum(vote.nis for vote in self._votes)
+        jump, ratio = b / a, b * b / a
+        if not (ratio > JUMP_LEAST_RATIO and ratio > JUMP_SHARE * nis):
+            return None
+        tolerance = JUMP_AGREEMENT * abs(jump)
+        agree = all(abs(vote.b / vote.a - jump) <= tolerance for vote in self._votes)
+        if abs(jump) < JUMP_GREATEST and agree:
             self._votes.clear()
             return jump
         return None

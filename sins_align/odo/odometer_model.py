@@ -25,7 +25,7 @@ import numpy as np
 
 from sins_align.config import OdometerConfig
 from sins_align.odo.epoch import AidedEpoch, Travel
-from sins_align.rotation import dcm_from_rpy, exp_rotation, rpy_from_dcm, skew3, unskew
+from sins_align.rotation import dcm_from_rpy, exp_rotation, rpy_from_dcm, skew3, unskew3
 from sins_align.types import Array, OdometerEstimate
 
 # Of the fourteen states.
@@ -47,6 +47,8 @@ QUANTUM_SHARE = 0.35
 # A vehicle that stands: how far wind and people move it, and the rest of the noise [m].
 STANDING_SIGMA = 1e-3
 STANDING_NOISE = 3e-4
+# Epochs come in few lengths; irregular stamps must not fill the memory.
+KEPT_DURATIONS = 32
 AT_REST = Travel(np.zeros((3, 3)), np.zeros((3, 3)), 0.0, 0.0, 0.0, 0.0)
 
 
@@ -79,6 +81,7 @@ class OdometerModel:
         self.C_bm = dcm_from_rpy(*config.mounting_rpy.tolist())
         self.x = np.zeros(COUNT)
         self.x[LEVER] = config.lever_arm
+        self._kept: dict[float, tuple[Array, Array]] = {}
         self.quantum = config.quantum if config.quantum is not None else 0.0
 
     def prior_variance(self) -> Array:
@@ -108,17 +111,23 @@ class OdometerModel:
         position noise at the end has nothing to do with that at the start: its factor is
         zero, and `position_sigma` what it gets
         """
-        config = self._config
-        factor, variance = np.ones(COUNT), np.zeros(COUNT)
-        decay = np.exp(-duration / DIRECTION_TIME_S)
-        factor[DIRECTION] = decay
-        factor[POSITION] = 0.0
-        variance[SCALE] = config.scale_walk**2 * duration
-        variance[LATENCY] = config.latency_walk**2 * duration
-        variance[MOUNTING] = MOUNTING_WALK**2 * duration
-        variance[DIRECTION] = config.direction_sigma**2 * (1.0 - decay * decay)
-        self.x *= factor
-        return factor, variance
+        kept = self._kept.get(duration)
+        if kept is None:
+            config = self._config
+            factor, variance = np.ones(COUNT), np.zeros(COUNT)
+            decay = np.exp(-duration / DIRECTION_TIME_S)
+            factor[DIRECTION] = decay
+            factor[POSITION] = 0.0
+            variance[SCALE] = config.scale_walk**2 * duration
+            variance[LATENCY] = config.latency_walk**2 * duration
+            variance[MOUNTING] = MOUNTING_WALK**2 * duration
+            variance[DIRECTION] = config.direction_sigma**2 * (1.0 - decay * decay)
+            kept = factor, variance
+            if len(self._kept) >= KEPT_DURATIONS:
+                self._kept.clear()
+            self._kept[duration] = kept
+        self.x = self.x * kept[0]
+        return kept
 
     def measure(
         self,
@@ -141,21 +150,22 @@ class OdometerModel:
         travel = AT_REST if standing or epoch.travel is None else epoch.travel
         moved = C_end - C_start
         # The frame turns under the displacement: half of it, on the whole.
-        C = C_start - 0.5 * (skew3(turn) @ C_start)
-        Cm = C @ travel.M @ self.C_bm / (1.0 + x[SCALE])
-        lateral, forward = self._accelerations(epoch, travel)
-        acceleration = np.array([lateral, forward])
-        t = x[MOUNTING] + x[DIRECTION] + x[GRADIENT] * acceleration
-        f = np.array([1.0, *t]) / math.sqrt(1.0 + float(t @ t))
+        C = C_start - skew3(0.5 * turn) @ C_start
+        scaled = (C / (1.0 + x[SCALE])) @ travel.M
+        Cm = scaled @ self.C_bm
+        acceleration = self._accelerations(epoch, travel)
+        lateral, vertical = (x[MOUNTING] + x[DIRECTION] + x[GRADIENT] * acceleration).tolist()
+        shorter = 1.0 / math.sqrt(1.0 + lateral * lateral + vertical * vertical)
+        f = np.array([shorter, shorter * lateral, shorter * vertical])
         D = Cm @ f
         H = np.zeros((3, COUNT))
         H[:, SCALE] = D / (1.0 + x[SCALE])
-        H[:, LATENCY] = -(C @ (travel.M_rate @ (self.C_bm @ f))) / (1.0 + x[SCALE])
+        H[:, LATENCY] = C @ (travel.M_rate @ (self.C_bm @ f)) / -(1.0 + x[SCALE])
         H[:, LEVER] = moved
-        H[:, MOUNTING] = H[:, DIRECTION] = -Cm[:, 1:]
-        H[:, GRADIENT] = -Cm[:, 1:] * acceleration
+        H[:, MOUNTING] = H[:, DIRECTION] = sideways = -Cm[:, 1:]
+        H[:, GRADIENT] = sideways * acceleration
         arm = moved @ x[LEVER] - D
-        mean = (C @ epoch.B @ self.C_bm) / T
+        mean = C @ epoch.B @ (self.C_bm / T)
         R = (mean * self._variance(travel, standing)) @ mean.T
         return Displacement(path + arm, arm, H, R)
 
@@ -168,13 +178,13 @@ class OdometerModel:
         variance[0] += travel.variance
         return variance
 
-    def _accelerations(self, epoch: AidedEpoch, travel: Travel) -> tuple[float, float]:
-        """Lateral (left) and forward acceleration of the vehicle, means [m/s^2]."""
+    def _accelerations(self, epoch: AidedEpoch, travel: Travel) -> Array:
+        """(2,) lateral (left) and forward acceleration of the vehicle, means [m/s^2]."""
         T = epoch.duration_s
-        up = self.C_bm[:, 2]
         # Rotation about the vehicle's up axis over the epoch, for angles of a vehicle.
-        yaw_rate = float(up @ unskew(epoch.C_end)) / T
-        return yaw_rate * travel.distance / T, (travel.speed_end - travel.speed_start) / T
+        turned = float(self.C_bm[:, 2] @ unskew3(epoch.C_end))
+        forward = (travel.speed_end - travel.speed_start) / T
+        return np.array([turned * travel.distance / (T * T), forward])
 
     def estimate(self, covariance: Array) -> OdometerEstimate:
         """In the terms of the interface, with the covariance (COUNT, COUNT) of the errors."""

@@ -36,7 +36,7 @@ from sins_align.odo.navigation import WanderNavigation
 from sins_align.odo.odometer_model import POSITION as ODO_POSITION
 from sins_align.odo.odometer_model import SCALE, Displacement, OdometerModel
 from sins_align.odo.standing import Standing
-from sins_align.rotation import exp_rotation, skew3, unskew
+from sins_align.rotation import exp_rotation, skew3, unskew3
 from sins_align.types import Array
 
 # Sum of the variances of sin and cos from which on their circle is imposed: earlier it
@@ -51,6 +51,8 @@ STANDING_LIMIT = 25.0  # of its normalised square
 LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
 LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
 
+_EYE = np.eye(3)
+_ONE_AND_A_HALF = 1.5 * _EYE
 _ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
 _POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
 _SCALE = ODOMETER.start + SCALE
@@ -119,21 +121,21 @@ class WanderFilter:
         """
         navigation, odometer, T = self.navigation, self.odometer, epoch.duration_s
         C_start = navigation.C_ab
-        rate = float(C_start[2] @ unskew(epoch.C_end)) / T
-        position = C_start @ (odometer.C_bm @ odometer.x[ODO_POSITION])
+        rate = float(C_start[2] @ unskew3(epoch.C_end)) / T
+        axes_start = C_start @ odometer.C_bm
+        position = axes_start @ odometer.x[ODO_POSITION]
         course = navigation.advance(epoch)
-        C_end = navigation.C_ab
         factor, added = odometer.advance(T)
         A = self._model.transition(epoch, course, self._azimuth_basis(), rate)
         A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
-        A[PATH, POSITION] = -C_start @ odometer.C_bm
+        A[PATH, POSITION] = -axes_start
         P = A @ self.P @ A.T
-        self._model.add_noise(P, T)
+        P += self._model.noise(T)
         P[_ODOMETER_INDEX, _ODOMETER_INDEX] += added
         stands = standing is Standing.ASSUMED or (
             standing is Standing.POSSIBLE and self._may_stand(P, course.path - position)
         )
-        axes = C_end @ odometer.C_bm
+        axes = navigation.C_ab @ odometer.C_bm
         variance = odometer.position_sigma(stands) ** 2
         position_noise = axes * variance
         P[_POSITION_INDEX, _POSITION_INDEX] += variance
@@ -142,7 +144,7 @@ class WanderFilter:
         P[PATH, PATH] += position_noise @ axes.T
         if stands or epoch.travel is not None:
             turn = course.w_ia * T
-            seen = odometer.measure(epoch, C_start, C_end, course.path, turn, stands)
+            seen = odometer.measure(epoch, C_start, navigation.C_ab, course.path, turn, stands)
             self._update(P, seen, seen.residual - position, epoch)
         else:
             self.P = P[:SIZE, :SIZE].copy()
@@ -158,11 +160,11 @@ class WanderFilter:
         H = np.zeros((3, EXTENDED))
         H[:, PHI] = skew3(seen.arm)
         H[:, ODOMETER] = seen.H
-        H[:, PATH] = np.eye(3)
+        H[:, PATH] = _EYE
         PH = P @ H.T
         S = H @ PH
         distance = 0.0 if epoch.travel is None else epoch.travel.distance
-        inverse = np.linalg.inv(S + seen.R)
+        inverse = inverse3(S + seen.R)
         jump = self._jump.test(seen.H[:, SCALE], inverse, innovation, distance)
         if jump is not None:
             # The inflation goes where the mismatch is.
@@ -170,16 +172,16 @@ class WanderFilter:
             P[_SCALE, _SCALE] = jump * jump
             PH = P @ H.T
             S = H @ PH
-            inverse = np.linalg.inv(S + seen.R)
+            inverse = inverse3(S + seen.R)
         nis = float(innovation @ inverse @ innovation)
         self._note(nis)
         factor = soften(nis)
         if factor > 1.0:
-            inverse = np.linalg.inv(S + factor * seen.R)
-        # P - K S K' as a square: it stays symmetric.
-        gain = PH[:SIZE] @ inverse
-        self.P = P[:SIZE, :SIZE] - gain @ PH[:SIZE].T
-        self.P = 0.5 * (self.P + self.P.T)
+            inverse = inverse3(S + factor * seen.R)
+        PH = PH[:SIZE]
+        gain = PH @ inverse
+        P = P[:SIZE, :SIZE] - gain @ PH.T
+        self.P = 0.5 * (P + P.T)
         self._correct(gain @ innovation)
 
     def _note(self, nis: float) -> None:
@@ -192,7 +194,7 @@ class WanderFilter:
         """Take estimated errors (SIZE,) off the estimates."""
         navigation = self.navigation
         C = exp_rotation(dx[PHI]) @ navigation.C_ab
-        navigation.C_ab = C @ (1.5 * np.eye(3) - 0.5 * (C.T @ C))  # stays orthogonal
+        navigation.C_ab = C @ (_ONE_AND_A_HALF - 0.5 * (C.T @ C))  # stays orthogonal
         navigation.v_a = navigation.v_a - dx[VELOCITY]
         e = navigation.e_a.copy()
         if self.one_azimuth:
@@ -208,7 +210,7 @@ class WanderFilter:
         self.gyro_turn = self.gyro_turn + dx[GYRO_TURN]
         self.odometer.x = self.odometer.x - dx[ODOMETER]
         if not self.one_azimuth:
-            variance = self.P[AZIMUTH, AZIMUTH].trace()
+            variance = float(self.P[6, 6] + self.P[7, 7])
             if variance < HAND_OVER_VARIANCE * self._cos_latitude**2:
                 self._hand_over()
 
@@ -229,17 +231,13 @@ class WanderFilter:
         return find_azimuth(e[:2], self.P[AZIMUTH, AZIMUTH], self._cos_latitude)
 
     def _conditioned(self, azimuth: Azimuth) -> tuple[Array, Array, Array]:
-        """The errors once the azimuth is on its circle.
+        """The errors of two azimuth states once the azimuth is on its circle.
 
         Returns
         -------
         (SIZE,) their mean, (SIZE,) what an error of the azimuth does to them, and (SIZE,
         SIZE) the covariance of the rest
         """
-        if self.one_azimuth:
-            variance = max(float(self.P[6, 6]), 1e-300)
-            column = self.P[:, 6] / variance
-            return np.zeros(SIZE), column, self.P - variance * np.outer(column, column)
         gain = np.linalg.solve(self.P[AZIMUTH, AZIMUTH], self.P[AZIMUTH, :]).T
         mean = gain @ (self.navigation.e_a[:2] - azimuth.e_h)
         return mean, gain @ azimuth.tangent, self.P - gain @ self.P[AZIMUTH, :]
@@ -262,14 +260,35 @@ class WanderFilter:
         phi_n = Rz(alpha) phi - up dalpha: an azimuth too large turns counter-clockwise.
         """
         azimuth = self.azimuth()
-        mean, column, rest = self._conditioned(azimuth)
         s, c = math.sin(azimuth.alpha), math.cos(azimuth.alpha)
         C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        if self.one_azimuth:
+            J = np.zeros((3, 7))
+            J[:, PHI] = C_na
+            J[2, 6] = -1.0
+            return Attitude(C_na @ self.navigation.C_ab, J @ self.P[:7, :7] @ J.T)
+        mean, column, rest = self._conditioned(azimuth)
         C_ab = exp_rotation(mean[PHI]) @ self.navigation.C_ab
         turn = C_na @ column[PHI]
         turn[2] -= 1.0
         covariance = C_na @ rest[PHI, PHI] @ C_na.T + azimuth.sigma**2 * np.outer(turn, turn)
         return Attitude(C_na @ C_ab, 0.5 * (covariance + covariance.T))
+
+
+def inverse3(S: Array) -> Array:
+    """Inverse of a symmetric positive matrix (3, 3), by cofactors.
+
+    Raises
+    ------
+    LinAlgError : it is not positive
+    """
+    (a, b, c), (_, d, e), (_, _, f) = S.tolist()
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * A + b * B + c * C
+    if not determinant > 0.0:
+        raise np.linalg.LinAlgError("the innovation's covariance is not positive")
+    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+    return np.array([[A, B, C], [B, D, E], [C, E, F]]) / determinant
 
 
 def imu_noise(grade: ImuGrade) -> ImuNoise:
