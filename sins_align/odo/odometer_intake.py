@@ -68,9 +68,12 @@ class OdometerIntake:
 
     def recent(self) -> OdometerSamples:
         """The samples accepted last, some ten seconds of them, by stamp."""
-        if len(self._recent) != 1:
-            self._recent = deque([_join(list(self._recent))])
-        return _copy(self._recent[0])
+        joined = _join(list(self._recent))
+        if self._last_ns is not None:
+            first = int(np.searchsorted(joined.stamp_ns, self._last_ns - RECENT_NS))
+            joined = joined.select(slice(first, None))
+        self._recent = deque([joined] if len(joined) else [])
+        return _copy(joined)
 
     def _refuse(self, reason: str, number: int = 1) -> None:
         self.rejected[reason] += number

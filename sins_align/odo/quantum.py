@@ -28,7 +28,7 @@ FITTING = 0.9
 COARSE_FITTING = 0.65
 # Outliers may have hidden a step behind one of its parts; when in doubt, it is the coarser one.
 MULTIPLE_FITTING = 0.8
-_MULTIPLES = (6, 5, 4, 3, 2, 1)
+_MULTIPLES = (6, 5, 4, 3, 2)
 EVIDENCE = 20
 # Steps between values are compared with candidates up to so many counts, which may then be
 # apart by `_SPACING`.
@@ -146,17 +146,24 @@ def find_grid(x: Array) -> float:
         refined = _refine(apart, step, _MOST_COUNTS)
         for counts in _WIDER:
             refined = _refine(size, refined, counts)
-        if not _is_multiple(size, refined, FITTING):
+        if not _fits(size, changes, bends, refined, FITTING, EVIDENCE):
             continue
         for multiple in _MULTIPLES:
             coarser = multiple * refined
-            if (
-                np.count_nonzero(bends > 0.5 * coarser) >= EVIDENCE
-                and _is_multiple(changes, coarser, COARSE_FITTING)
-                and _is_multiple(size, coarser, MULTIPLE_FITTING)
-            ):
+            if _fits(size, changes, bends, coarser, MULTIPLE_FITTING, EVIDENCE // 2):
                 return coarser
+        return refined
     return 0.0
+
+
+def _fits(
+    size: Array, changes: Array, bends: Array, step: float, fitting: float, evidence: int
+) -> bool:
+    return bool(
+        np.count_nonzero(bends > 0.5 * step) >= evidence
+        and _is_multiple(changes, step, COARSE_FITTING, evidence)
+        and _is_multiple(size, step, fitting, evidence)
+    )
 
 
 def _coarse_steps(apart: Array, largest: float) -> Array:
@@ -179,9 +186,9 @@ def _refine(values: Array, step: float, most: float) -> float:
     return float(values[near] @ n / (n @ n)) if n.shape[0] else step
 
 
-def _is_multiple(values: Array, step: float, fitting: float) -> bool:
+def _is_multiple(values: Array, step: float, fitting: float, evidence: int) -> bool:
     """Whether the values (n,), but for some, are multiples of a step, and enough not of zero."""
     counts = values / step
     counts = counts[counts > FIT]
     on = np.count_nonzero(np.abs(counts - np.rint(counts)) <= FIT)
-    return on >= max(EVIDENCE, fitting * counts.shape[0])
+    return on >= max(evidence, fitting * counts.shape[0])

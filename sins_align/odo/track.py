@@ -14,7 +14,7 @@ from sins_align.odo.hampel import (
     is_slow,
     usual_steps,
 )
-from sins_align.odo.knots import GOOD, MEAN, ROWS, TIME, Stretch, append_knots, read_knots
+from sins_align.odo.knots import GOOD, MEAN, ROWS, SAME_S, TIME, Stretch, append_knots, read_knots
 from sins_align.odo.odometer_intake import MAX_LATE_NS
 from sins_align.odo.quantum import QuantumFinder
 from sins_align.types import Array, IntArray, OdometerSamples
@@ -22,9 +22,9 @@ from sins_align.types import Array, IntArray, OdometerSamples
 # Up to so many usual intervals a step is one long interval; beyond, samples are missing.
 LONG_STEP = 1.5
 # Of a longer step nothing is known but its end.
-MAX_STEP_S = 2.0
+MAX_STEP_S = 2.0 + SAME_S
 # Shorter holes are bridged, with the variance of an unknown acceleration.
-MAX_BRIDGE_S = 0.35
+MAX_BRIDGE_S = 0.35 + SAME_S
 UNKNOWN_ACCELERATION = 2.0  # [m/s^2], 1 sigma
 
 # Judged samples that are kept for the windows of the next ones.
