@@ -70,7 +70,9 @@ LEAST_NOISE = 1e-9  # [m/s/sqrt(s)] for sensors that claim to have none
 LEAST_EPOCHS = 3  # that make an attitude
 # Innovations are judged by a solution that is renewed each time there are so many more epochs.
 JUDGED_EPOCHS, JUDGED_SHARE = 5, 1.4
-IMPLAUSIBLE = 11.3  # 99 % of chi^2 with three degrees of freedom
+# Of the normalised innovation squared, three degrees of freedom: 99 % are below 11.3, but the
+# prediction is linear in a heading that may be far out.
+IMPLAUSIBLE = 20.0
 # After so many epochs in a row it is what came before that is wrong: begin anew.
 MOST_REFUSED = 40
 
