@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
+import numpy as np
+
 from sins_align.types import Array
 
 # 99 % of chi-square with three degrees of freedom.
 SOFT_LIMIT = 11.3
+SOFT_STEPS, SOFT_ENOUGH = 8, 1.2
 # The test for a jump of the scale.
 JUMP_EPOCHS = 5
 JUMP_LEAST_DISTANCE = 1.0  # [m] of an epoch that counts
@@ -18,13 +21,22 @@ JUMP_AGREEMENT = 0.5
 JUMP_SHARE = 0.7
 
 
-def soften(nis: float) -> float:
-    """Factor on R for an innovation of that normalised square: (NIS / 11.3)^2 beyond 11.3.
+def soften(S: Array, R: Array, innovation: Array, nis: float) -> Array:
+    """(3, 3) S + factor R for an implausible innovation of normalised square `nis`.
 
-    An outlier loses its weight, but is never shut out: a hard gate would lock the filter out
-    once it was wrong.
+    The factor makes the normalised square 11.3^2 / nis: where R dominates it is (nis /
+    11.3)^2. An outlier loses its weight, the more the larger it is, but is never shut out: a
+    hard gate would lock the filter out once it was wrong. Where the state's own uncertainty S
+    dominates, R has to grow by more for the same, or half of the outlier would be believed.
     """
-    return (nis / SOFT_LIMIT) ** 2 if nis > SOFT_LIMIT else 1.0
+    factor, wanted = (nis / SOFT_LIMIT) ** 2, SOFT_LIMIT**2 / nis
+    for _ in range(SOFT_STEPS):
+        total = S + factor * R
+        ratio = float(innovation @ np.linalg.solve(total, innovation)) / wanted
+        if ratio < SOFT_ENOUGH:
+            break
+        factor *= ratio
+    return total
 
 
 class _Vote(NamedTuple):

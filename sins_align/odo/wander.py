@@ -19,7 +19,7 @@ from sins_align.grades import ImuGrade
 from sins_align.odo.azimuth import Azimuth, find_azimuth
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ErrorModel, ImuNoise
-from sins_align.odo.guards import ScaleJump, soften
+from sins_align.odo.guards import SOFT_LIMIT, ScaleJump, soften
 from sins_align.odo.layout import (
     ACCEL_BIAS,
     AZIMUTH,
@@ -175,9 +175,8 @@ class WanderFilter:
             inverse = inverse3(S + seen.R)
         nis = float(innovation @ inverse @ innovation)
         self._note(nis)
-        factor = soften(nis)
-        if factor > 1.0:
-            inverse = inverse3(S + factor * seen.R)
+        if nis > SOFT_LIMIT:
+            inverse = inverse3(soften(S, seen.R, innovation, nis))
         PH = PH[:SIZE]
         gain = PH @ inverse
         P = P[:SIZE, :SIZE] - gain @ PH.T
