@@ -68,8 +68,8 @@ def find_outliers(
         return None
     # Quick answers for nearly all. Half of a window can only be apart from a sample when one of
     # the two next ones on either side is.
-    one, two = near[1:] - near[:-1], near[2:] - near[:-2]
-    if max(one.max(), -one.min(), two.max(), -two.min()) <= HAMPEL_M_S:
+    one, two = np.abs(near[1:] - near[:-1]), np.abs(near[2:] - near[:-2])
+    if one.max() <= HAMPEL_M_S and two.max() <= HAMPEL_M_S:
         return None
     # No window can hold enough.
     spans = t[first + HAMPEL_LEAST - 1 : last] - t[first : first + near.shape[0] - HAMPEL_LEAST + 1]

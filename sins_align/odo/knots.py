@@ -50,8 +50,8 @@ def append_knots(old: Array, t: Array, length: Array, mean: Array, variance: Arr
     good = length > 0.0
     new[TIME], new[MEAN], new[GOOD] = t, mean, good
     np.abs(length, out=new[LENGTH])
-    np.multiply(length.clip(min=0.0), mean, out=new[SUM])
-    np.multiply(good, variance, out=new[VARIANCE])
+    np.multiply(new[LENGTH] * mean, good, out=new[SUM])
+    np.multiply(variance, good, out=new[VARIANCE])
     # As one long sum: the same bits however many come at once.
     sums = table[SUM : VARIANCE + 1, max(size - 1, 0) :]
     np.cumsum(sums, axis=1, out=sums)

@@ -51,6 +51,8 @@ class OdometerIntake:
         """
         if len(samples) == 0:
             return _copy(samples)
+        if len(samples) == 1 and self._is_plain(samples):
+            return self._take(samples)
         samples = self._usable(samples)
         stamps = samples.stamp_ns
         accepted: list[OdometerSamples] = []
@@ -78,6 +80,17 @@ class OdometerIntake:
     def _refuse(self, reason: str, number: int = 1) -> None:
         self.rejected[reason] += number
         self._counts.odom_rejected += number
+
+    def _is_plain(self, sample: OdometerSamples) -> bool:
+        """Whether one sample simply follows: the rest of `add`, in less time."""
+        return (
+            self._suspect is None
+            and self._last_ns is not None
+            and self._follows(sample.stamp_ns.item())
+            and abs(sample.speed.item()) <= MAX_SPEED
+            and 0.0 <= sample.variance.item() < np.inf
+            and self._last_ns <= MAX_STAMP_NS - MAX_STEP_NS
+        )
 
     def _usable(self, samples: OdometerSamples) -> OdometerSamples:
         """Without those whose values cannot be; unknown variances made zero."""

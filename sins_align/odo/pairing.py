@@ -146,16 +146,16 @@ class Pairing:
         return after if stamps[after] - wanted < wanted - stamps[after - 1] else after - 1
 
     def _gather(self) -> None:
-        if not self._parts:
-            return
-        skip = 1 if self._stamp_ns.shape[0] else 0
-        stamps, values = [self._stamp_ns], [self._values]
         for block in self._parts:
-            stamps.append(block.stamp_ns[skip:])
-            values.append(np.concatenate((block.w_ib_b[:, skip:], block.f_ib_b[:, skip:])))
-            skip = 1
-        self._stamp_ns = np.concatenate(stamps)
-        self._values = np.concatenate(values, axis=1)
+            old = self._stamp_ns.shape[0]
+            skip = 1 if old else 0  # the last sample of the block before
+            stamps = block.stamp_ns[skip:]
+            values = np.empty((6, old + stamps.shape[0]))
+            values[:, :old] = self._values
+            values[:3, old:] = block.w_ib_b[:, skip:]
+            values[3:, old:] = block.f_ib_b[:, skip:]
+            self._stamp_ns = np.concatenate((self._stamp_ns, stamps))
+            self._values = values
         self._parts = []
 
 
