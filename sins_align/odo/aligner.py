@@ -10,6 +10,7 @@ from sins_align.config import OdoConfig
 from sins_align.earth import earth_rate_n
 from sins_align.increments import integrate_rotation
 from sins_align.limits import heading_limit
+from sins_align.odo.coarse import CoarseAligner, CoarseAttitude
 from sins_align.odo.epoch import AidedEpoch, integrate_epoch
 from sins_align.odo.layout import ACCEL_BIAS, GYRO_BIAS, ODOMETER
 from sins_align.odo.navigation import WanderNavigation
@@ -20,7 +21,6 @@ from sins_align.odo.wander import WanderFilter
 from sins_align.rotation import (
     dcm_from_quaternion,
     exp_rotation,
-    level_axes,
     multiply_quaternions,
     quaternion_from_dcm,
 )
@@ -30,7 +30,10 @@ from sins_align.types import Advance, Array, Estimate, ImuBlock, OdometerSamples
 PUBLISH_SIGMA = math.radians(3.0)
 # The filter starts with so many epochs at hand, for its levels.
 START_EPOCHS = 3
-# Levels of these epochs [rad], and velocity of the first one: absolute [m/s], and relative.
+# `wander_ekf` starts with an azimuth known so well.
+EKF_SIGMA = math.radians(10.0)
+# Least sigma of the levels at the start [rad]: they come of epochs that the filter takes in
+# again. Sigma of the velocity: absolute [m/s], and relative.
 LEVEL_SIGMA = 0.01
 VELOCITY_SIGMA = 0.2
 VELOCITY_SHARE = 0.05
@@ -55,6 +58,7 @@ class OdoAligner:
         self._position = position
         self._pairing = Pairing(None if config.stationary else config.odometer)
         self._detector = StandingDetector(config.grade, config.stationary)
+        self._coarse = self._make_coarse()
         self._early: list[tuple[Paired, AidedEpoch]] = []  # before the start
         self._filter: WanderFilter | None = None
         self._estimate: Estimate | None = None
@@ -98,37 +102,57 @@ class OdoAligner:
     def _begin(self, paired: Paired) -> bool:
         """Start the filter where enough is known; False where the odometer is silent."""
         epoch = integrate_epoch(paired, self._config.sampling)
-        if epoch.travel is None and not self._config.stationary:
+        standing = self._config.stationary
+        if epoch.travel is None and not standing:
+            self._coarse = self._make_coarse()
             self._early.clear()
             return False
+        self._coarse.add(epoch, standing)
         self._early.append((paired, epoch))
-        if len(self._early) == START_EPOCHS:
-            self._filter = self._start([epoch for _, epoch in self._early])
-            for early, _ in self._early:
-                self._process(self._filter, early)
-            self._early.clear()
+        if len(self._early) < START_EPOCHS:
+            return True
+        coarse = self._coarse.attitude
+        if coarse is None:
+            return True
+        if self._config.method == "wander_ekf":
+            # One azimuth state is linearised about an azimuth that has to be found first.
+            self._early = self._early[-START_EPOCHS:]
+            if coarse.covariance[2, 2] < EKF_SIGMA**2:
+                self._filter = self._start_at_end(coarse, epoch)
+                self._early.clear()
+            return True
+        self._filter = self._start_at_begin(coarse, self._early[0][1])
+        for early, _ in self._early:
+            self._process(self._filter, early)
+        self._early.clear()
         return True
 
-    def _start(self, epochs: list[AidedEpoch]) -> WanderFilter:
-        """The filter at the begin of the first epoch, level by the mean specific force.
+    def _make_coarse(self) -> CoarseAligner:
+        return CoarseAligner(self._position, self._config.grade, self._config.odometer)
 
-        Of the velocity increment, what the odometer says is taken off.
-        """
+    def _start_at_begin(self, coarse: CoarseAttitude, first: AidedEpoch) -> WanderFilter:
+        """`wander_kf` at the begin of the first epoch: level, and of no azimuth."""
+        speed = 0.0 if first.travel is None else first.travel.speed_start
+        return self._make_filter(coarse.C_n0b0, coarse, speed)
+
+    def _start_at_end(self, coarse: CoarseAttitude, last: AidedEpoch) -> WanderFilter:
+        """`wander_ekf` at the end of the last epoch, in ENU for a: alpha is zero."""
+        speed = 0.0 if last.travel is None else last.travel.speed_end
+        filter_ = self._make_filter(coarse.C_nb, coarse, speed, float(coarse.covariance[2, 2]))
+        filter_.navigation.e_a[1] = math.cos(self._position.latitude)
+        return filter_
+
+    def _make_filter(
+        self, C_ab: Array, coarse: CoarseAttitude, speed: float, variance: float | None = None
+    ) -> WanderFilter:
+        """The filter at an attitude and a forward speed; variance : of the azimuth."""
         odometer = OdometerModel(self._config.odometer)
-        forward = odometer.C_bm[:, 0]
-        first, last = epochs[0].travel, epochs[-1].travel
-        C, up = np.eye(3), np.zeros(3)
-        for epoch in epochs:
-            up += C @ epoch.u
-            C = C @ epoch.C_end
-        speed = 0.0
-        if first is not None and last is not None:
-            speed = first.speed_start
-            up -= last.speed_end * (C @ forward) - speed * forward
-        C_ab = level_axes(up / np.linalg.norm(up)).T
-        navigation = WanderNavigation(C_ab, speed * (C_ab @ forward), self._position)
-        sigma = math.hypot(VELOCITY_SIGMA, VELOCITY_SHARE * speed)
-        return WanderFilter(navigation, odometer, self._config.grade, LEVEL_SIGMA, sigma)
+        v_a = speed * (C_ab @ odometer.C_bm[:, 0])
+        navigation = WanderNavigation(C_ab, v_a, self._position)
+        level = max(LEVEL_SIGMA, math.sqrt(float(coarse.covariance.diagonal()[:2].max())))
+        velocity = math.hypot(VELOCITY_SIGMA, VELOCITY_SHARE * speed)
+        azimuth = None if variance is None else math.sqrt(variance)
+        return WanderFilter(navigation, odometer, self._config.grade, level, velocity, azimuth)
 
     def _process(self, filter_: WanderFilter, paired: Paired) -> None:
         filter_.odometer.quantum = self._pairing.quantum
