@@ -172,11 +172,14 @@ def velocity_increments(t: Array, w: Array, f: Array, theta: Array, step: float 
     return dv + 0.5 * turned + cross(theta, turned) / 6.0 + sculling * (dt * dt * dt / 12.0)
 
 
-def mean_increments(t: Array, w: Array, f: Array, step: float | None) -> tuple[Array, Array]:
-    """`rotation_increments` and `velocity_increments` from interval means, quicker together."""
+def mean_increments(t: Array, values: Array, step: float | None) -> tuple[Array, Array]:
+    """`rotation_increments` and `velocity_increments` from interval means, quicker together.
+
+    values : (6, n+1) rate and specific force
+    """
     dt = np.diff(t) if step is None else step
     cubic = dt * dt * dt / 12.0
-    mean = np.concatenate((w[:, 1:], f[:, 1:]))
+    mean = values[:, 1:].copy()
     slope = _slope(t, mean, step)
     n = mean.shape[1]
     # w x dw/dt, w x df/dt, f x dw/dt: axis, product, interval.
@@ -236,16 +239,16 @@ class _Nodes(NamedTuple):
         return self.rows[:9].reshape(3, 3, -1)
 
 
-def _rotate_nodes(block: ImuBlock, sampling: ImuSampling) -> _Nodes:
-    t = (block.stamp_ns - block.stamp_ns[0]) * 1e-9
+def _rotate_nodes(stamp_ns: IntArray, values: Array, sampling: ImuSampling) -> _Nodes:
+    t = (stamp_ns - stamp_ns[0]) * 1e-9
     step = uniform_step(t)
-    f = block.f_ib_b
+    f = values[3:]
     if sampling is ImuSampling.MEAN:
-        theta, du = mean_increments(t, block.w_ib_b, f, step)
+        theta, du = mean_increments(t, values, step)
         f = np.zeros_like(f)
         f[:, :-1] = du
     else:
-        theta = rotation_increments(t, block.w_ib_b, sampling, step)
+        theta = rotation_increments(t, values[:3], sampling, step)
     q = cumulative_rotation(quaternion_from_rotation_vector(theta))
     rows = np.empty((12, t.shape[0]))
     C = dcm_from_quaternion(q, out=rows[:9].reshape(3, 3, -1))
@@ -253,34 +256,74 @@ def _rotate_nodes(block: ImuBlock, sampling: ImuSampling) -> _Nodes:
     return _Nodes(t, step, q, rows)
 
 
+class Window(NamedTuple):
+    """The integrals over one window, as in `Windows`, and over paths travelled in it.
+
+    paths : (k, 3, 3) int C dS, None where there are none
+    """
+
+    duration_s: float
+    u: Array
+    s: Array
+    B: Array
+    BB: Array
+    C_end: Array
+    q_end: Array
+    paths: Array | None
+
+
 def integrate_window(
-    block: ImuBlock, sampling: ImuSampling, travelled: Array | None = None
-) -> tuple[Windows, Array | None]:
-    """The integrals over a block as one window, and those over paths travelled in it.
+    stamp_ns: IntArray, values: Array, sampling: ImuSampling, travelled: Array | None = None
+) -> Window:
+    """The integrals over samples as one window.
 
     Parameters
     ----------
-    travelled : (k, n+1) functions S of time at the block's stamps
-
-    Returns
-    -------
-    the window, and (k, 3, 3) int C dS (trapezoidal rule), None without `travelled`
+    stamp_ns : (n+1,); values : (6, n+1) rate and specific force, as in `ImuBlock`
+    travelled : (k, n+1) functions S of time at the stamps; trapezoidal rule
     """
-    filled = fill_gaps(block)
-    if travelled is not None and filled is not block:
-        old, new = (s - block.stamp_ns[0] for s in (block.stamp_ns, filled.stamp_ns))
-        travelled = np.stack([np.interp(new, old, S) for S in travelled])
-    nodes = _rotate_nodes(filled, sampling)
-    windows = _sum_windows(nodes, sampling, [0, nodes.t.shape[0] - 1])
-    if travelled is None:
-        return windows, None
-    # int C dS = sum of C_k times half the way between its neighbours.
-    weights = np.empty(travelled.shape)
-    weights[:, 1:-1] = travelled[:, 2:] - travelled[:, :-2]
-    weights[:, 0] = travelled[:, 1] - travelled[:, 0]
-    weights[:, -1] = travelled[:, -1] - travelled[:, -2]
-    paths = (0.5 * weights) @ nodes.rows[:9].T
-    return windows, paths.reshape(-1, 3, 3)
+    if _has_gap(stamp_ns):
+        filled = fill_gaps(ImuBlock(stamp_ns, values[:3], values[3:]))
+        if travelled is not None:
+            old, new = (ns - stamp_ns[0] for ns in (stamp_ns, filled.stamp_ns))
+            travelled = np.stack([np.interp(new, old, S) for S in travelled])
+        stamp_ns, values = filled.stamp_ns, np.concatenate((filled.w_ib_b, filled.f_ib_b))
+    t, step, q, rows = _rotate_nodes(stamp_ns, values, sampling)
+    n = t.shape[0] - 1
+    sums = rows @ (_shifted_weights(_node_weights(t)) if step is None else _step_weights(n, step))
+    B, BB = sums[:9, 0].reshape(3, 3), sums[:9, 1].reshape(3, 3)
+    first = 2 if sampling is ImuSampling.MEAN else 0
+    u, s = sums[9:, first], sums[9:, first + 1]
+    paths = None
+    if travelled is not None:
+        # int C dS = sum of C_k times half the way between its neighbours.
+        weights = np.empty(travelled.shape)
+        weights[:, 1:-1] = travelled[:, 2:] - travelled[:, :-2]
+        weights[:, 0] = travelled[:, 1] - travelled[:, 0]
+        weights[:, -1] = travelled[:, -1] - travelled[:, -2]
+        paths = (0.5 * (weights @ rows[:9].T)).reshape(-1, 3, 3)
+    C_end = rows[:9, -1].reshape(3, 3)
+    return Window(float(t[-1]), u, s, B, BB, C_end, q[:, -1], paths)
+
+
+def _has_gap(stamp_ns: IntArray) -> bool:
+    """Whether a step is longer than one and a half of the shortest."""
+    steps = stamp_ns[1:] - stamp_ns[:-1]
+    return bool(2 * steps.max() >= 3 * steps.min())
+
+
+def _shifted_weights(weights: Array) -> Array:
+    """`_node_weights` with those of an interval's increment where the interval begins."""
+    shifted = weights.copy()
+    shifted[:-1, 2:] = weights[1:, 2:]
+    shifted[-1, 2:] = 0.0
+    return shifted
+
+
+@lru_cache(maxsize=64)
+def _step_weights(n: int, step: float) -> Array:
+    """`_shifted_weights` of n intervals of length `step`."""
+    return _shifted_weights(_unit_weights(n)) * np.array([step, step * step, 1.0, step])
 
 
 def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Windows:
@@ -291,7 +334,9 @@ def integrate_windows(block: ImuBlock, sampling: ImuSampling, count: int) -> Win
     block : samples of which the first and the last stamp are the ends of the windows
     count : number of windows; fewer where there are not three intervals for each
     """
-    nodes = _rotate_nodes(fill_gaps(block), sampling)
+    block = fill_gaps(block)
+    values = np.concatenate((block.w_ib_b, block.f_ib_b))
+    nodes = _rotate_nodes(block.stamp_ns, values, sampling)
     t = nodes.t
     n = t.shape[0] - 1
     count = max(1, min(count, n // 3))

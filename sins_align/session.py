@@ -268,10 +268,10 @@ class Session:
 
 def find_fault(block: ImuBlock) -> tuple[str, str] | None:
     """Why nothing can be made of a block, and the remedy; None where something can."""
-    steps = np.diff(block.stamp_ns)
-    interval = float(block.stamp_ns[-1] - block.stamp_ns[0]) * 1e-9 / steps.shape[0]
+    stamps = block.stamp_ns
+    interval = int(stamps[-1] - stamps[0]) * 1e-9 / (stamps.shape[0] - 1)
     if interval > MAX_INTERVAL_S:  # so it may be where samples are lost, but not all steps
-        interval = float(np.quantile(steps, 0.25)) * 1e-9
+        interval = float(np.quantile(np.diff(stamps), 0.25)) * 1e-9
     if interval > MAX_INTERVAL_S:
         rate = f"the IMU gives {1.0 / interval:.1f} samples a second, 10 are the least"
         return rate, STREAM_REMEDY

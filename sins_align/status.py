@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sins_align.config import Completion
 from sins_align.types import Advance, Estimate, State, Status
 from sins_align.units import ARCMIN, ARCSEC
@@ -69,7 +67,7 @@ class Completer:
             if self._aligned_at_s is None:
                 self._aligned_at_s = elapsed_s
             return Status(State.ALIGNED, "", "", elapsed_s, self._aligned_at_s, limit)
-        fine = float(estimate.sigma[2]) < FINE_HEADING_SIGMA
+        fine = estimate.misalignment_covariance[2, 2] < FINE_HEADING_SIGMA**2
         state = State.FINE if fine else State.COARSE
         if not missing:
             missing = f"below the thresholds for {held:.0f} of {self._completion.hold_s:g} s"
@@ -77,7 +75,7 @@ class Completer:
 
     def _missing(self, estimate: Estimate, limit: float) -> tuple[str, str]:
         """What is not below its threshold, and what helps; written so that NaN is not."""
-        east, north, heading = (float(s) for s in estimate.sigma)
+        east, north, heading = estimate.sigma.tolist()
         missing, remedies = [], []
         if not heading < self._completion.heading_threshold:
             threshold = self._completion.heading_threshold / ARCMIN
@@ -93,7 +91,7 @@ class Completer:
                 f"the innovations are {estimate.consistency:.1f} times what they should be"
             )
             remedies.append(CONSISTENCY_REMEDY)
-        bias = float(np.abs(estimate.gyro_bias).max())
+        bias = max(map(abs, estimate.gyro_bias.tolist()))
         if self._gyro_bias_sigma > 0.0 and bias > MAX_BIAS_RATIO * self._gyro_bias_sigma:
             ratio = bias / self._gyro_bias_sigma
             missing.append(f"the estimated gyro bias is {ratio:.1f} times what is declared")

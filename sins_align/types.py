@@ -152,7 +152,7 @@ class Estimate:
     @property
     def sigma(self) -> Array:
         """(3,) 1-sigma misalignment east, north, up [rad]."""
-        return np.sqrt(np.diag(self.misalignment_covariance))
+        return np.sqrt(self.misalignment_covariance.diagonal())
 
 
 @dataclass(frozen=True)

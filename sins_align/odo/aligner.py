@@ -156,9 +156,7 @@ class OdoAligner:
 
     def _process(self, filter_: WanderFilter, paired: Paired) -> None:
         filter_.odometer.quantum = self._pairing.quantum
-        rate = float(filter_.navigation.C_ab[2] @ paired.block.w_ib_b[:, 1:].mean(axis=1))
-        bias = filter_.gyro_bias + rate * filter_.gyro_turn
-        epoch = integrate_epoch(paired, self._config.sampling, bias, filter_.accel_bias)
+        epoch = integrate_epoch(paired, self._config.sampling, filter_.bias(paired.block.w_ib_b))
         self._detector.note(epoch, filter_.process(epoch, self._detector.judge(epoch)))
 
     def _why_not(self) -> tuple[str, str]:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from sins_align.odo.pairing import Paired
 
 from sins_align.increments import integrate_window
-from sins_align.types import Array, ImuBlock, ImuSampling
+from sins_align.types import Array, ImuSampling
 
 
 class Travel(NamedTuple):
@@ -59,45 +59,37 @@ class AidedEpoch(NamedTuple):
     travel: Travel | None
 
 
-def integrate_epoch(
-    paired: Paired,
-    sampling: ImuSampling,
-    gyro_bias: Array | None = None,
-    accel_bias: Array | None = None,
-) -> AidedEpoch:
-    """The integrals over the samples of one epoch, biases (3,) taken off [rad/s], [m/s^2]."""
+def integrate_epoch(paired: Paired, sampling: ImuSampling, bias: Array | None = None) -> AidedEpoch:
+    """The integrals over the samples of one epoch.
+
+    bias : (6,) of rate and specific force, taken off [rad/s], [m/s^2]
+    """
     block = paired.block
-    if gyro_bias is not None and accel_bias is not None:
-        w, f = block.w_ib_b - gyro_bias[:, None], block.f_ib_b - accel_bias[:, None]
-        block = ImuBlock(block.stamp_ns, w, f)
-    n = block.stamp_ns.shape[0] - 1
-    values = np.concatenate((block.w_ib_b[:, 1:], block.f_ib_b[:, 1:]))
-    sums, squares = values.sum(axis=1).tolist(), np.einsum("in,in->i", values, values).tolist()
+    values = np.concatenate((block.w_ib_b, block.f_ib_b))
+    if bias is not None:
+        values -= bias[:, None]
+    n = values.shape[1] - 1
+    inner = values[:, 1:]
+    sums, squares = inner.sum(axis=1).tolist(), np.einsum("in,in->i", inner, inner).tolist()
     travelled = None
     if paired.distance is not None and paired.speed is not None:
-        travelled = np.stack((paired.distance, paired.speed))
-    windows, paths = integrate_window(block, sampling, travelled)
+        travelled = np.array((paired.distance, paired.speed))
+    window = integrate_window(block.stamp_ns, values, sampling, travelled)
     travel = None
-    if travelled is not None and paths is not None:
-        distance, speed = travelled
-        travel = Travel(
-            M=paths[0],
-            M_rate=paths[1],
-            distance=float(distance[-1] - distance[0]),
-            speed_start=float(speed[0]),
-            speed_end=float(speed[-1]),
-            variance=paired.variance,
-        )
+    if travelled is not None and window.paths is not None:
+        (start, speed_start), (end, speed_end) = travelled[:, [0, -1]].T.tolist()
+        M, M_rate = window.paths
+        travel = Travel(M, M_rate, end - start, speed_start, speed_end, paired.variance)
     return AidedEpoch(
         stamp_ns=int(block.stamp_ns[-1]),
-        duration_s=float(windows.duration_s[0]),
-        C_end=windows.C_end[0],
-        q_end=windows.q_end,
-        u=windows.u[0],
-        s=windows.s[0],
-        B=windows.B[0],
-        BB=windows.BB[0],
-        interval_s=float(windows.duration_s[0]) / n,
+        duration_s=window.duration_s,
+        C_end=window.C_end,
+        q_end=window.q_end,
+        u=window.u,
+        s=window.s,
+        B=window.B,
+        BB=window.BB,
+        interval_s=window.duration_s / n,
         unrest=(_spread(sums[:3], squares[:3], n), _spread(sums[3:], squares[3:], n)),
         travel=travel,
     )

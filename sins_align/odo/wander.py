@@ -113,6 +113,12 @@ class WanderFilter:
         variance[ODOMETER] = odometer.prior_variance()
         self.P = np.diag(variance)
 
+    def bias(self, w_ib_b: Array) -> Array:
+        """(6,) what is to be taken off the samples of an epoch with the rates w_ib_b (3, n+1)."""
+        mean = w_ib_b.sum(axis=1) / w_ib_b.shape[1]
+        rate = float(self.navigation.C_ab[2] @ mean)
+        return np.concatenate((self.gyro_bias + rate * self.gyro_turn, self.accel_bias))
+
     def process(self, epoch: AidedEpoch, standing: Standing) -> bool:
         """Take in an epoch; the biases must have been taken off its samples.
 
