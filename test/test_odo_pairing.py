@@ -54,8 +54,14 @@ def blocks_of(stamp_ns: IntArray) -> list[ImuBlock]:
     ]
 
 
-def take(pairing: Pairing, delay_s: float = 0.0) -> list[Paired]:
-    return list(iter(lambda: pairing.next(delay_s), None))
+def take(pairing: Pairing, delay_s: float = 0.0, quanta: list[float] | None = None) -> list[Paired]:
+    """All epochs that are there, and into `quanta` what was known of the quantum at each."""
+    epochs = []
+    while (epoch := pairing.next(delay_s)) is not None:
+        epochs.append(epoch)
+        if quanta is not None:
+            quanta.append(pairing.quantum)
+    return epochs
 
 
 def run(
@@ -367,12 +373,20 @@ def fingerprint(epochs: list[Paired]) -> list[tuple[object, ...]]:
     ]
 
 
+Run = tuple[list[Paired], list[float]]
+
+
 def feed(
-    blocks: list[ImuBlock], samples: OdometerSamples, late_s: float, rng: np.random.Generator
-) -> list[Paired]:
+    blocks: list[ImuBlock],
+    samples: OdometerSamples,
+    settings_: OdometerConfig,
+    late_s: float,
+    rng: np.random.Generator,
+) -> Run:
     """Odometer samples in chunks, before the IMU's block that ends `late_s` after them."""
-    pairing = Pairing(config())
+    pairing = Pairing(settings_)
     epochs: list[Paired] = []
+    quanta: list[float] = []
     begin = 0
     for block in blocks:
         end = int(np.searchsorted(samples.stamp_ns, block.stamp_ns[-1] - late_s * 1e9, "right"))
@@ -381,29 +395,33 @@ def feed(
         for a, b in pairwise(cuts.tolist()):
             pairing.add_odometer(samples.select(slice(a, b)))
             if rng.random() < 0.5:
-                epochs += take(pairing, 0.123)
+                epochs += take(pairing, 0.123, quanta)
         begin = end
         pairing.add_imu(block)
         if rng.random() < 0.8:
-            epochs += take(pairing, 0.123)
-    return epochs + take(pairing, 0.123)
+            epochs += take(pairing, 0.123, quanta)
+    epochs += take(pairing, 0.123, quanta)
+    return epochs, quanta
 
 
 @given(
     rate=st.sampled_from([1.0, 5.0, 10.0, 20.0, 100.0]),
     late_s=st.sampled_from([-100.0, -10.0, -1.0, 0.0, 0.2]),
     messy=st.booleans(),
+    quantum=st.sampled_from([float("nan"), 0.01]),
     seed=st.integers(0, 10000),
 )
 @settings(max_examples=80, deadline=None)
 def test_order_of_arrival_does_not_matter(
-    rate: float, late_s: float, messy: bool, seed: int
+    rate: float, late_s: float, messy: bool, quantum: float, seed: int
 ) -> None:
     rng = RNG(seed)
     t = -1.0 + np.arange(round(35 * rate)) / rate
     if messy and rate > 1.0:
         t += rng.uniform(-0.4, 0.4, t.shape[0]) / rate
     samples = odometer(t, 0.1)
+    step = 0.02 * rate
+    samples.speed[:] = step * np.round(samples.speed / step)
     if messy and rate > 1.0:
         # Samples lost, outliers, and a dropout of some seconds.
         samples.speed[rng.random(len(samples)) < 0.02] += 15.0
@@ -411,15 +429,20 @@ def test_order_of_arrival_does_not_matter(
         gone = (samples.stamp_ns > at) & (samples.stamp_ns < at + 6 * SECOND)
         samples = samples.select(~gone & (rng.random(len(samples)) > 0.05))
     blocks = blocks_of(imu_stamps(30, 50))
-    ahead, other = run(blocks, samples, delay_s=0.123), feed(blocks, samples, late_s, rng)
+    set_ = config(odometer_quantum_m=quantum)
+    ahead, at_once = feed(blocks, samples, set_, -1000.0, rng)
+    other, late = feed(blocks, samples, set_, late_s, rng)
     assert len(other) >= 26
     size = min(len(ahead), len(other))
     assert fingerprint(ahead)[:size] == fingerprint(other)[:size]
+    assert at_once[:size] == late[:size]
+    if rate in (10.0, 20.0) and not messy and quantum != 0.01:
+        assert at_once[0] == 0.0 and at_once[-1] == pytest.approx(0.02)
 
 
 def test_an_odometer_that_is_too_late_is_not_waited_for() -> None:
     samples = regular_odometer(40, 20.0, -1.0)
     blocks = blocks_of(imu_stamps(30, 50))
-    epochs = feed(blocks, samples, 5.0, RNG(1))
+    epochs, _ = feed(blocks, samples, config(), 5.0, RNG(1))
     assert len(epochs) >= 27
     assert all(e.distance is None for e in epochs)

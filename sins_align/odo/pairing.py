@@ -56,6 +56,7 @@ class Pairing:
         self._parts: list[ImuBlock] = []
         self._stamp_ns: IntArray = np.empty(0, dtype=np.int64)
         self._values: Array = np.empty((6, 0))  # w, f
+        self._quantum = 0.0 if self._track is None else self._track.quantum
 
     @property
     def track(self) -> OdometerTrack | None:
@@ -64,8 +65,11 @@ class Pairing:
 
     @property
     def quantum(self) -> float:
-        """Distance of one count of the odometer [m], 0 where it is not known."""
-        return 0.0 if self._track is None else self._track.quantum
+        """Distance of one count of the odometer [m], 0 where it is not known.
+
+        As of the begin of the last epoch, though the odometer may be ahead.
+        """
+        return self._quantum
 
     def add_imu(self, block: ImuBlock) -> None:
         """Take in a block; it begins at the last stamp of the one before."""
@@ -108,12 +112,13 @@ class Pairing:
         knot, known = _find_knot(track, begin)
         if not known and not overdue:
             return None
-        if knot is None:
-            return self._finish(self._nearest_to_second(), None)
-        at = float(track.knots[knot])
         t = track.times(stamps) + delay_s
-        if t[-1] < at - SAME_S:
+        at = None if knot is None else float(track.knots[knot])
+        if at is not None and t[-1] < at - SAME_S:
             return None
+        self._quantum = track.quantum_at(begin)
+        if knot is None or at is None:
+            return self._finish(self._nearest_to_second(), None)
         if track.begins_at(knot):
             # From the first stamp on of which the track tells.
             return self._finish(int(t.searchsorted(at - SAME_S)), None)

@@ -53,6 +53,7 @@ class OdometerTrack:
         self.replaced = 0
         self.too_late = 0
         self._finder = QuantumFinder()
+        self._found: list[tuple[float, float]] = []  # from when on which quantum is known
         self._clear()
 
     def _clear(self) -> None:
@@ -63,11 +64,16 @@ class OdometerTrack:
         self._done = 0  # how many of them are judged
         self._is_settled = True  # nothing has come since
         self._knots: Array = np.empty((ROWS, 0))
+        self._found = [(-np.inf, self.quantum)]
 
     @property
     def quantum(self) -> float:
         """Distance of one count [m], 0 where there is none or it is not known."""
         return self._finder.quantum if self._given_quantum is None else self._given_quantum
+
+    def quantum_at(self, time_s: float) -> float:
+        """`quantum` as the samples up to a time tell it, though there may be later ones [m]."""
+        return next((found for since, found in reversed(self._found) if since <= time_s), 0.0)
 
     @property
     def knots(self) -> Array:
@@ -183,6 +189,8 @@ class OdometerTrack:
             self._append_with_holes(t, length, speed, variance, steps - length)
         if self._given_quantum is None:
             self._finder.add(v, length)
+            if self._finder.quantum != self._found[-1][1]:
+                self._found.append((float(t[-1]), self._finder.quantum))
 
     def _filter(self, begin: int, end: int, length: Array) -> tuple[Array, Array]:
         """Speeds with outliers replaced, and variances of the intervals' displacements [m^2]."""
