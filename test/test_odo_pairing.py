@@ -174,6 +174,16 @@ def test_a_slow_odometer_cuts_the_epochs(imu_rate: int) -> None:
     assert np.abs(errors(epochs[2:])).max() < (0.02 if imu_rate == 10 else 1e-3)
 
 
+@pytest.mark.parametrize("step", [0.7, 0.99, 1.0, 1.1, 1.4])
+def test_a_slow_odometer_is_met_whatever_its_phase(step: float) -> None:
+    stamps = imu_stamps(20, 50)
+    for phase in np.arange(0.0, 1.0, 0.03):
+        samples = odometer(phase - 3.0 + step * np.arange(40.0))
+        epochs = run(blocks_of(stamps), samples)
+        missed = [k for k, e in enumerate(epochs) if e.distance is None]
+        assert len(missed) <= (2 if step > 1.1 else 0), phase
+
+
 def test_a_slow_odometer_whose_clock_drifts() -> None:
     t = 0.2 + np.arange(130.0)
     samples = odometer(t)

@@ -13,8 +13,9 @@ from sins_align.types import Array, ImuBlock, IntArray, OdometerSamples
 
 EPOCH_S = 1.0
 EPOCH_NS = 1_000_000_000
-# An epoch ends at an odometer sample where there is one so long after its begin.
-LEAST_EPOCH_S, GREATEST_EPOCH_S = 0.7, 1.6
+# An epoch ends at an odometer sample where there is one so long after its begin. More than a
+# second apart: or else a sample every second could be missed again and again.
+LEAST_EPOCH_S, GREATEST_EPOCH_S = 0.45, 1.6
 # An epoch has so many intervals of the IMU at least.
 LEAST_INTERVALS = 2
 # Knots before the epoch that are kept, for a delay that is estimated anew.
