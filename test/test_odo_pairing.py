@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sins_align.config import OdometerConfig, odo_config
-from sins_align.odo.pairing import GREATEST_EPOCH_S, LEAST_EPOCH_S, Paired, Pairing
+from sins_align.odo.pairing import EPOCH_S, LONGER_S, SHORTER_S, Paired, Pairing
 from sins_align.types import Array, ImuBlock, IntArray, OdometerSamples
 
 T0 = 1_700_000_000_000_000_000
@@ -261,8 +261,8 @@ def test_a_dropout_and_what_follows() -> None:
         a, b = seconds(epoch)[[0, -1]]
         assert (epoch.distance is None) == (b > 20.25 and a < 30.4 - 1e-6)
     assert np.abs(errors(epochs)).max() < 1e-3
-    assert lengths(epochs).max() < GREATEST_EPOCH_S + 0.01
-    assert lengths(epochs).min() > LEAST_EPOCH_S - 0.01
+    assert lengths(epochs).max() < EPOCH_S + LONGER_S + 0.01
+    assert lengths(epochs).min() > EPOCH_S - SHORTER_S - 0.01
 
 
 def test_short_holes_are_bridged_with_a_variance() -> None:
@@ -293,7 +293,7 @@ def test_lost_imu_samples() -> None:
         check_tiling(epochs, stamps)
         assert all(e.distance is not None for e in epochs)
         assert np.abs(errors(epochs)).max() < 0.1
-        assert lengths(epochs).min() > LEAST_EPOCH_S - 0.41
+        assert lengths(epochs).min() > EPOCH_S - SHORTER_S - 0.41
 
 
 def test_an_imu_that_is_slow_as_well() -> None:

@@ -15,7 +15,7 @@ from sins_align.odo.epoch import AidedEpoch, integrate_epoch
 from sins_align.odo.layout import ACCEL_BIAS, GYRO_BIAS, ODOMETER
 from sins_align.odo.navigation import WanderNavigation
 from sins_align.odo.odometer_model import LATENCY, OdometerModel
-from sins_align.odo.pairing import Paired, Pairing
+from sins_align.odo.pairing import EPOCH_S, Paired, Pairing
 from sins_align.odo.standing import StandingDetector
 from sins_align.odo.wander import WanderFilter
 from sins_align.rotation import (
@@ -37,6 +37,9 @@ EKF_SIGMA = math.radians(10.0)
 LEVEL_SIGMA = 0.01
 VELOCITY_SIGMA = 0.2
 VELOCITY_SHARE = 0.05
+
+# Once the azimuth is known, nothing is gained by epochs as short as before.
+LONG_EPOCH_S = 2.0
 
 SILENT = "no odometer"
 SILENT_REMEDY = "publish topic odom, or set aiding to stationary if the vehicle stands"
@@ -78,7 +81,7 @@ class OdoAligner:
     def _advance(self) -> list[Advance]:
         self._turned = None
         steps = []
-        while (paired := self._pairing.next(self._delay())) is not None:
+        while (paired := self._pairing.next(self._delay(), self._length())) is not None:
             steps.append(self._take_in(paired))
         return steps
 
@@ -87,6 +90,10 @@ class OdoAligner:
         return (
             latency if self._filter is None else latency + float(self._filter.odometer.x[LATENCY])
         )
+
+    def _length(self) -> float:
+        """How long the next epoch should be [s]."""
+        return LONG_EPOCH_S if self._filter is not None and self._filter.one_azimuth else EPOCH_S
 
     def _take_in(self, paired: Paired) -> Advance:
         stamp_ns = int(paired.block.stamp_ns[-1])

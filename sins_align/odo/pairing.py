@@ -1,4 +1,4 @@
-"""IMU and odometer brought together by stamp, in epochs of about a second."""
+"""IMU and odometer brought together by stamp, in epochs of a second or two."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from sins_align.odo.knots import SAME_S
 from sins_align.odo.track import OdometerTrack
 from sins_align.types import Array, ImuBlock, IntArray, OdometerSamples
 
-EPOCH_S = 1.0
-EPOCH_NS = 1_000_000_000
+EPOCH_S = 1.0  # unless another length is asked for
 # An epoch ends at an odometer sample where there is one so long after its begin. More than a
 # second apart: or else a sample every second could be missed again and again.
-LEAST_EPOCH_S, GREATEST_EPOCH_S = 0.45, 1.6
+SHORTER_S, LONGER_S = 0.55, 0.6
 # An epoch has so many intervals of the IMU at least.
 LEAST_INTERVALS = 2
 # Knots before the epoch that are kept, for a delay that is estimated anew.
@@ -53,7 +52,7 @@ class Pairing:
     def __init__(self, config: OdometerConfig | None) -> None:
         self._track = OdometerTrack(config.quantum) if config is not None else None
         timeout = 0.0 if config is None else config.timeout_s
-        self._patience_ns = round(max(EPOCH_S + timeout, GREATEST_EPOCH_S) * 1e9)
+        self._patience_s = max(timeout, LONGER_S)
         self._parts: list[ImuBlock] = []
         self._stamp_ns: IntArray = np.empty(0, dtype=np.int64)
         self._values: Array = np.empty((6, 0))  # w, f
@@ -86,31 +85,36 @@ class Pairing:
         self._gather()
         return self._cut(self._stamp_ns.shape[0] - 1) if self._stamp_ns.shape[0] else None
 
-    def next(self, delay_s: float) -> Paired | None:
-        """The next epoch, None until it is there.
+    def next(self, delay_s: float, length_s: float = EPOCH_S) -> Paired | None:
+        """The next epoch, of about `length_s`; None until it is there.
 
         delay_s : by how much the odometer's stamps are late: what it says at stamp t + delay
             is what the vehicle did at t
         """
         self._gather()
         stamps = self._stamp_ns
-        if stamps.shape[0] <= LEAST_INTERVALS or stamps[-1] - stamps[0] < EPOCH_NS:
+        if stamps.shape[0] <= LEAST_INTERVALS:
             return None
+        here_s = int(stamps[-1] - stamps[0]) * 1e-9
+        if here_s < length_s:
+            return None
+        overdue = here_s >= length_s + self._patience_s
         if self._track is None or self._track.origin_ns is None:
             # A track without a sample makes the IMU wait like one without an end.
-            waits = self._track is not None and stamps[-1] - stamps[0] < self._patience_ns
-            return None if waits else self._finish(self._nearest_to_second(), None)
-        return self._pair(self._track, delay_s)
+            waits = self._track is not None and not overdue
+            return None if waits else self._finish(self._nearest_to(length_s), None)
+        return self._pair(self._track, delay_s, length_s, overdue)
 
-    def _pair(self, track: OdometerTrack, delay_s: float) -> Paired | None:
+    def _pair(
+        self, track: OdometerTrack, delay_s: float, length_s: float, overdue: bool
+    ) -> Paired | None:
         stamps = self._stamp_ns
         begin = track.time(int(stamps[0])) + delay_s
         track.drop_before(begin - MARGIN_S)
         track.settle()
-        overdue = bool(stamps[-1] - stamps[0] >= self._patience_ns)
         if overdue:
-            track.settle(begin + GREATEST_EPOCH_S)
-        knot, known = _find_knot(track, begin)
+            track.settle(begin + length_s + LONGER_S)
+        knot, known = _find_knot(track, begin, length_s)
         if not known and not overdue:
             return None
         t = track.times(stamps) + delay_s
@@ -119,7 +123,7 @@ class Pairing:
             return None
         self._quantum = track.quantum_at(begin)
         if knot is None or at is None:
-            return self._finish(self._nearest_to_second(), None)
+            return self._finish(self._nearest_to(length_s), None)
         if track.begins_at(knot):
             # From the first stamp on of which the track tells.
             return self._finish(int(t.searchsorted(at - SAME_S)), None)
@@ -144,10 +148,10 @@ class Pairing:
         values = self._values[:, : end + 1].copy()
         return ImuBlock(self._stamp_ns[: end + 1].copy(), values[:3], values[3:])
 
-    def _nearest_to_second(self) -> int:
-        """Index of the IMU sample nearest to a second after the epoch's begin."""
+    def _nearest_to(self, length_s: float) -> int:
+        """Index of the IMU sample nearest to `length_s` after the epoch's begin."""
         stamps = self._stamp_ns
-        wanted = stamps[0] + EPOCH_NS
+        wanted = stamps[0] + round(length_s * 1e9)
         after = int(stamps.searchsorted(wanted))
         return after if stamps[after] - wanted < wanted - stamps[after - 1] else after - 1
 
@@ -165,19 +169,19 @@ class Pairing:
         self._parts = []
 
 
-def _find_knot(track: OdometerTrack, begin: float) -> tuple[int | None, bool]:
+def _find_knot(track: OdometerTrack, begin: float, length_s: float) -> tuple[int | None, bool]:
     """Index of the knot at which an epoch ends, and whether later samples cannot change it.
 
     begin : of the epoch, in the track's time [s]. No index: there is no knot in time.
     """
     knots = track.knots
-    wanted = begin + EPOCH_S
+    wanted = begin + length_s
     after = int(knots.searchsorted(wanted))
     size = knots.shape[0]
     near = [
         (abs(float(knots[k]) - wanted), k)
         for k in (after - 1, after)
-        if 0 <= k < size and begin + LEAST_EPOCH_S <= knots[k] <= begin + GREATEST_EPOCH_S
+        if 0 <= k < size and -SHORTER_S <= knots[k] - wanted <= LONGER_S
     ]
     if not near:
         return None, after < size
