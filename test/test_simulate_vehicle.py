@@ -236,7 +236,7 @@ def test_drives_are_what_a_vehicle_can_do(scenario: str, seed: int) -> None:
     speed = way.distance[1]
     assert np.abs(speed).max() < 18.5
     assert np.abs(way.distance[2]).max() < 3.0
-    assert np.abs(speed * way.course[1]).max() < 2.6
+    assert np.abs(speed * way.course[1]).max() < 2.9  # 12 m/s on a radius of 50 m
     assert np.abs(way.slope[0]).max() < 5.1 * DEG
     assert (speed[0] == 10.0) if scenario == "moving_start" else (speed[0] == 0.0)
 
