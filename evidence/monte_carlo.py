@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -19,6 +19,8 @@ from sins_align.rotation import (
 from sins_align.session import Session
 from sins_align.simulate import SwingOptions, SwingRun, simulate_swing
 from sins_align.types import Array, Estimate
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -60,9 +62,27 @@ class Outcome:
         return float(self.misalignment @ np.linalg.solve(self.covariance, self.misalignment))
 
 
+def misalignment(C_nb: Array, C_nb_true: Array) -> Array:
+    """phi with C_nb = (I - [phi x]) C_nb_true: (3,) [rad]."""
+    return -log_rotation(C_nb @ C_nb_true.T)
+
+
 def misalignment_of(estimate: Estimate, C_nb_true: Array) -> Array:
-    """phi with C_estimated = (I - [phi x]) C_true: (3,) [rad]."""
-    return -log_rotation(dcm_from_quaternion(estimate.q_nb) @ C_nb_true.T)
+    """phi of an estimate: (3,) [rad]."""
+    return misalignment(dcm_from_quaternion(estimate.q_nb), C_nb_true)
+
+
+def rms(values: Array, axis: int | None = None) -> Any:
+    """Root of the mean square."""
+    return np.sqrt(np.mean(np.square(values), axis=axis))
+
+
+def every_seed(
+    run_one: Callable[..., Result], options: Any, seeds: Iterable[int], *arguments: Any, jobs: int = 2
+) -> list[Result]:
+    """`run_one(options with the seed, *arguments)` for every seed, on `jobs` cores."""
+    tasks = (delayed(run_one)(replace(options, seed=seed), *arguments) for seed in seeds)
+    return list(Parallel(n_jobs=jobs)(tasks))
 
 
 def _start_attitude(simulated: SwingRun, error_deg: float) -> list[float]:
@@ -122,10 +142,7 @@ def monte_carlo(
     jobs: int = 2,
 ) -> list[Outcome]:
     """The same scenario with every seed, on `jobs` cores."""
-    tasks = (
-        delayed(run)(replace(options, seed=seed), parameters, start_error_deg) for seed in seeds
-    )
-    return list(Parallel(n_jobs=jobs)(tasks))
+    return every_seed(run, options, seeds, parameters, start_error_deg, jobs=jobs)
 
 
 def heading_nees(outcomes: list[Outcome]) -> float:

@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
 
+from evidence.checks import Case, Cases, Check, upper
 from evidence.monte_carlo import Outcome, heading_nees, make_config, monte_carlo
 from sins_align.simulate import SCENARIOS, SwingOptions, simulate_swing
 from sins_align.swing.paper import PaperAligner
@@ -34,30 +35,6 @@ def lever_mm(outcomes: list[Outcome]) -> Array:
     return 1e3 * _axes(outcomes, lambda o: o.lever_error_paper)
 
 
-@dataclass(frozen=True)
-class Check:
-    """A figure, and the bounds that it has to keep."""
-
-    name: str
-    value: float
-    low: float
-    high: float
-
-    @property
-    def kept(self) -> bool:
-        """Whether the value lies within the bounds."""
-        return self.low <= self.value <= self.high
-
-    def __str__(self) -> str:
-        verdict = "" if self.kept else "   BROKEN"
-        return f"    {self.name:44s} {self.value:10.4g}  [{self.low:g}, {self.high:g}]{verdict}"
-
-
-def upper(name: str, value: float, bound: float) -> Check:
-    """A magnitude with an upper bound."""
-    return Check(name, abs(float(value)), 0.0, bound)
-
-
 def lines(outcomes: list[Outcome]) -> Iterable[str]:
     """Mean, SD, RMS and the claimed sigma, of attitude and lever arm."""
     for name, unit, errors, sigma in (
@@ -77,6 +54,11 @@ def lines(outcomes: list[Outcome]) -> Iterable[str]:
             yield f"    {name:20s} {what:6s} {text} {unit}"
 
 
+def make_case(name: str, outcomes: list[Outcome], checks: list[Check]) -> Case:
+    """A case with its statistics, where there are runs."""
+    return Case(name, len(outcomes), list(lines(outcomes)) if outcomes else [], checks)
+
+
 def nees_checks(outcomes: list[Outcome], low: float, high: float) -> list[Check]:
     """Mean NEES of the attitude over 3, and of heading alone."""
     return [
@@ -85,7 +67,7 @@ def nees_checks(outcomes: list[Outcome], low: float, high: float) -> list[Check]
     ]
 
 
-def paper_tables(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
+def paper_tables(seeds: int) -> Cases:
     """Tables 1 and 2: method paper, start wrong by (10, 10, 10) deg."""
     for scenario, switches in (("pitch", [15.0, 30.0, 70.0]), ("erect", [15.0, 30.0])):
         for differentiator in ("eso", "central"):
@@ -108,7 +90,7 @@ def paper_tables(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]
             else:
                 worst = np.abs(lever.mean(axis=0)).max()
                 checks.append(upper("lever bias, central [mm]", worst, 0.1))
-            yield f"paper, {scenario}, {differentiator}, 1 kHz", outcomes, checks
+            yield make_case(f"paper, {scenario}, {differentiator}, 1 kHz", outcomes, checks)
 
 
 FIGURE_3_TIMES_S = (10, 20, 40, 80, 120)
@@ -130,7 +112,7 @@ def _lever_errors(seed: int, regression: str) -> list[float]:
     return errors
 
 
-def paper_figure_3(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
+def paper_figure_3(seeds: int) -> Cases:
     """Fig. 3: the lever arm in the level phase, with (EPLS) and without (LS) misalignment."""
     medians = {}
     for regression in ("epls", "ls"):
@@ -139,10 +121,10 @@ def paper_figure_3(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
         text = " ".join(f"{v:10.3g}" for v in medians[regression])
         print(f"  {regression:5s} median |error| at {FIGURE_3_TIMES_S} s: {text} mm")
     ratio = float(medians["epls"][-1] / medians["ls"][-1])
-    yield "paper, Fig. 3", [], [upper("EPLS over LS at 120 s", ratio, 0.05)]
+    yield make_case("paper, Fig. 3", [], [upper("EPLS over LS at 120 s", ratio, 0.05)])
 
 
-def inertial_rigid(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
+def inertial_rigid(seeds: int) -> Cases:
     """Method inertial on a rigid centre with the paper's noise: the Cramer-Rao bound."""
     cases = [("pitch", rate, 0.0) for rate in (1000.0, 200.0, 100.0)]
     cases += [("erect", rate, 0.0) for rate in (1000.0, 200.0, 100.0)]
@@ -159,10 +141,10 @@ def inertial_rigid(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
             upper("heading max [deg]", np.abs(phi[:, 2]).max(), 1e-3),
             Check("NEES/3", float(np.mean([o.nees for o in outcomes])) / 3.0, 0.55, 1.55),
         ]
-        yield f"inertial, {scenario}, {rate:g} Hz, heading {heading:g}", outcomes, checks
+        yield make_case(f"inertial, {scenario}, {rate:g} Hz, heading {heading:g}", outcomes, checks)
 
 
-def inertial_grades(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
+def inertial_grades(seeds: int) -> Cases:
     """Accuracy by grade on a rigid centre, with the bounds of the README."""
     for grade, heading, level, lever in (
         ("rlg", 0.025, 0.001, 0.3),
@@ -177,10 +159,10 @@ def inertial_grades(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check
             upper("level RMS [deg]", phi[:2].max(), level),
             upper("lever RMS [mm]", lever_rms.max(), lever),
         ]
-        yield f"inertial, pitch, {grade}, rigid centre", outcomes, checks
+        yield make_case(f"inertial, pitch, {grade}, rigid centre", outcomes, checks)
 
 
-def inertial_nees(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
+def inertial_nees(seeds: int) -> Cases:
     """Honesty of sigma at the default position noise."""
     for grade in ("tactical", "fog", "rlg"):
         for scenario in ("pitch", "erect", "still"):
@@ -190,7 +172,7 @@ def inertial_nees(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]
                 )
                 outcomes = monte_carlo(options, {}, range(seeds))
                 checks = nees_checks(outcomes, 0.6, 1.5)
-                yield f"inertial, {scenario}, {grade}, {duration:g} s", outcomes, checks
+                yield make_case(f"inertial, {scenario}, {grade}, {duration:g} s", outcomes, checks)
 
 
 def _covered(outcomes: list[Outcome]) -> float:
@@ -198,11 +180,11 @@ def _covered(outcomes: list[Outcome]) -> float:
     return max(abs(float(o.misalignment[2] / o.sigma[2])) for o in outcomes)
 
 
-def inertial_cases(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]]]:
+def inertial_cases(seeds: int) -> Cases:
     """A turn of the base, heave, lost samples, a single axis, levers, latitudes."""
     turn = SwingOptions(grade="tactical", rate_hz=100.0, turn_deg=90.0)
     outcomes = monte_carlo(turn, {}, range(seeds))
-    yield (
+    yield make_case(
         "inertial, tactical, turn of 90 deg",
         outcomes,
         [Check("heading NEES", heading_nees(outcomes), 0.6, 1.5)],
@@ -211,7 +193,7 @@ def inertial_cases(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
     for scenario in ("still", "pitch"):
         long = SwingOptions(scenario=scenario, grade="tactical", rate_hz=100.0, duration_s=1200.0)
         outcomes = monte_carlo(long, {}, range(seeds))
-        yield (
+        yield make_case(
             f"inertial, tactical, {scenario}, 1200 s",
             outcomes,
             [Check("heading NEES", heading_nees(outcomes), 0.6, 1.7)],
@@ -221,7 +203,7 @@ def inertial_cases(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
     for duration in (60.0, 420.0):
         options = SwingOptions(scenario=weak, grade="rlg", rate_hz=100.0, duration_s=duration)
         outcomes = monte_carlo(options, {}, range(seeds))
-        yield (
+        yield make_case(
             f"inertial, swing of 0.35 deg, rlg, {duration:g} s",
             outcomes,
             [upper("largest heading error / sigma", _covered(outcomes), 4.0)],
@@ -248,7 +230,7 @@ def inertial_cases(seeds: int) -> Iterable[tuple[str, list[Outcome], list[Check]
         if name == "single axis":
             flagged = sum(o.lever_observable == (False, True, True) for o in outcomes)
             checks.append(Check("runs that flag the lost direction", flagged, seeds, seeds))
-        yield f"inertial, {name}", outcomes, checks
+        yield make_case(f"inertial, {name}", outcomes, checks)
 
 
 SECTIONS = (

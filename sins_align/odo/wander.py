@@ -44,6 +44,7 @@ from sins_align.types import Array
 HAND_OVER_VARIANCE = 1e-5
 LEAST_COS_LATITUDE = 1e-6
 CONSISTENCY_MEMORY = 0.95  # per epoch
+MOST_INCONSISTENT = 20.0  # of one epoch
 # The navigation's path in an epoch of standing: how far it may be from nothing.
 STANDING_TOLERANCE = 0.01  # [m]
 STANDING_LIMIT = 25.0  # of its normalised square
@@ -190,7 +191,8 @@ class WanderFilter:
         self._correct(gain @ innovation)
 
     def _note(self, nis: float) -> None:
-        share = nis / 3.0
+        # An outlier that has lost its weight must not stand for all that come after it.
+        share = min(nis / 3.0, MOST_INCONSISTENT)
         if math.isnan(self.consistency):
             self.consistency = share
         self.consistency += (1.0 - CONSISTENCY_MEMORY) * (share - self.consistency)
