@@ -84,7 +84,7 @@ class Manoeuvre(NamedTuple):
 MANOEUVRES = {
     "turning": Manoeuvre(math.radians(40.0), 0.7, 12.0, 1.0, (0.2, 0.03)),
     "braking": Manoeuvre(math.radians(-60.0), -2.0, 20.0, -2.0, (-0.1, 0.02)),
-    "slow": Manoeuvre(math.radians(75.0), 2.5, 5.0, 0.3, (-0.3, -0.02)),
+    "slow": Manoeuvre(math.radians(75.0), 2.5, 5.0, 0.3, (-0.25, -0.01)),
 }
 
 
