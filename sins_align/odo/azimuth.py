@@ -17,6 +17,7 @@ from sins_align.types import Array
 # Up to this variance of (sin, cos) the density is as good as Gaussian on the circle.
 SMALL_VARIANCE = 0.02
 FINE_SIGMA = 0.1  # [rad]
+FAR = 0.5  # [rad], beyond it another maximum
 _GRID = np.arange(180) * (math.tau / 180)
 _UNIT = np.stack((np.sin(_GRID), np.cos(_GRID)))
 
@@ -41,17 +42,18 @@ def find_azimuth(e_h: Array, P: Array, cos_latitude: float) -> Azimuth:
     information = np.linalg.inv(P) * cos_latitude**2
     mean = e_h / cos_latitude
     if P[0, 0] + P[1, 1] > SMALL_VARIANCE * cos_latitude**2:
-        alpha, sigma = _on_grid(mean, information)
+        alpha, sigma, aside = _on_grid(mean, information)
         if sigma < FINE_SIGMA:  # too narrow for the grid, however long the error's axis
             alpha, sigma = _newton(mean, information, alpha)
+            sigma = math.hypot(sigma, aside)
     else:
         alpha, sigma = _newton(mean, information, math.atan2(mean[0], mean[1]))
     s, c = math.sin(alpha), math.cos(alpha)
     return Azimuth(alpha, sigma, cos_latitude * np.array([s, c]), cos_latitude * np.array([c, -s]))
 
 
-def _on_grid(mean: Array, information: Array) -> tuple[float, float]:
-    """Circular mean and root of the mean square angle from it."""
+def _on_grid(mean: Array, information: Array) -> tuple[float, float, float]:
+    """Circular mean, root of the mean square angle from it, and what is far off adds to that."""
     off = _UNIT - mean[:, None]
     weight = -0.5 * np.einsum("in,ij,jn->n", off, information, off)
     weight = np.exp(weight - weight.max())
@@ -59,7 +61,9 @@ def _on_grid(mean: Array, information: Array) -> tuple[float, float]:
     s, c = _UNIT @ weight
     alpha = math.atan2(s, c)
     angle = (_GRID - alpha + math.pi) % math.tau - math.pi
-    return alpha, math.sqrt(float(weight @ (angle * angle)))
+    square = weight * (angle * angle)
+    aside = float(square[np.abs(angle) > FAR].sum())
+    return alpha, math.sqrt(float(square.sum())), math.sqrt(aside)
 
 
 def _newton(mean: Array, information: Array, alpha: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ the sensors what is left in the corrected samples:
 eps, nabla: biases of gyros and accelerometers; kappa: the gyros' response to the rate r of
 turning about the vertical; dw_ie = Omega (de_x, de_y, 0): the Earth's axis; dw_ea = up x
 dv / R. The integrals of f and of C over the epoch are known, so that the transition has a
-closed form; what it leaves out is below 1e-4 of each block. docs/odo.md derives it.
+closed form; what it leaves out is below 2e-3 of each block. docs/odo.md derives it.
 """
 
 from __future__ import annotations
@@ -91,12 +91,35 @@ class ErrorModel:
         A[VELOCITY, ACCEL_BIAS] = CB
         A[PATH, PHI] = skew3(S)
         A[_PATH_INDEX, _VELOCITY_INDEX] = T
-        A[PATH, AZIMUTH] = force[:, :2] @ ((T * T * T / 6.0) * axis)
+        bent = (T * T * T / 6.0) * force + skew3(2.0 * course.area)
+        A[PATH, AZIMUTH] = bent[:, :2] @ axis
         A[PATH, ACCEL_BIAS] = CBB
-        bias = np.concatenate((CB, force @ CBB, force @ (CB * (T * T / 6.0))))
+        late = skew3((0.5 * T) * U - S) @ CB
+        bias = np.concatenate(
+            (CB, force @ CBB + late / T, force @ ((0.5 * T) * CBB - (T * T / 12.0) * CB))
+        )
         A[_GYRO_ROWS, GYRO_BIAS] = -bias
         A[_GYRO_ROWS, GYRO_TURN] = -rate * bias
         return A
+
+    def within(
+        self, epoch: AidedEpoch, course: Course, azimuth: Array, rate: float, l_b: Array
+    ) -> Array:
+        """(3, EXTENDED) what phi's growth within the epoch does to a displacement.
+
+        A displacement is turned by the phi of its time, and less than by that of the end: by
+        - int (phi(t) - phi(T)) x (dD - dC l), of a displacement D that is the path. l_b : (3,)
+        lever arm [m]
+        """
+        T, C = epoch.duration_s, course.C_start
+        CB, CBB = C @ epoch.B, C @ epoch.BB
+        H = np.zeros((3, EXTENDED))
+        H[:, AZIMUTH] = skew3(course.area + CB @ l_b)[:, :2] @ (EARTH_RATE * azimuth)
+        bias = skew3(course.area / T) @ CB + CB @ skew3(l_b)
+        bias += skew3(course.path) @ (0.5 * CB - CBB / T)
+        H[:, GYRO_BIAS] = -bias
+        H[:, GYRO_TURN] = -rate * bias
+        return H
 
     def noise(self, duration: float) -> Array:
         """(EXTENDED, EXTENDED) covariance that the IMU's noise adds over a time [s]."""

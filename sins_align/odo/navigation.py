@@ -36,7 +36,7 @@ class Course(NamedTuple):
 
     C_start : (3, 3) C_ab at the start
     U, S : (3,) C_start u, C_start s [m/s], [m]
-    path : (3,) int v dt, in a as it turns [m]
+    path, area : (3,) int v dt, int int v dt dt, in a as it turns [m], [m s]
     w_ia, w_2 : (3,) rate of a against i, and that plus the Earth's rate [rad/s]
     radius : of the transport rate [m]
     """
@@ -45,6 +45,7 @@ class Course(NamedTuple):
     U: Array
     S: Array
     path: Array
+    area: Array
     w_ia: Array
     w_2: Array
     radius: float
@@ -102,8 +103,10 @@ class WanderNavigation:
         v_a = self.v_a + U - turned - cross3(w_2, path)
         v_a[2] -= g * T
         path = path - (T * T / 6.0) * cross3(w_ia, U) - (0.5 * T) * cross3(w_2, path)
+        # Of a parabola through path and change of velocity.
+        area = (0.5 * T) * path - (T * T / 12.0) * (v_a - self.v_a)
         self.C_ab = exp_rotation(-w_ia * T) @ C @ epoch.C_end
         self.v_a = v_a
         self.e_a = self.e_a - T * cross3(w_ea, self.e_a)
         self.altitude += float(path[2])
-        return Course(C, U, S, path, w_ia, w_2, transverse + self.altitude)
+        return Course(C, U, S, path, area, w_ia, w_2, transverse + self.altitude)

@@ -2,7 +2,7 @@
 
 Over an epoch the odometer's point moves by
 
-    path + (C_end - C_start) l = int C f dS / (1 + K) + position noise
+    path + (C_end - C_start) l = int C f dS / (1 + K) - position noise
 
 l: lever arm from the IMU to it; K: scale error; f = (1, t_l, t_v) / |.| in the vehicle's axes
 m: direction of travel, with
@@ -47,6 +47,9 @@ QUANTUM_SHARE = 0.35
 # A vehicle that stands: how far wind and people move it, and the rest of the noise [m].
 STANDING_SIGMA = 1e-3
 STANDING_NOISE = 3e-4
+# By how much of its surprise the noise grows in an epoch, and the largest surprise.
+EXCESS_SHARE = 0.1
+EXCESS_LIMIT = 9.0
 # Epochs come in few lengths; irregular stamps must not fill the memory.
 KEPT_DURATIONS = 32
 AT_REST = Travel(np.zeros((3, 3)), np.zeros((3, 3)), 0.0, 0.0, 0.0, 0.0)
@@ -81,6 +84,7 @@ class OdometerModel:
         self.C_bm = dcm_from_rpy(*config.mounting_rpy.tolist())
         self.x = np.zeros(COUNT)
         self.x[LEVER] = config.lever_arm
+        self._excess = np.zeros(3)  # variance beyond the declared noise, in m [m^2]
         self._kept: dict[float, tuple[Array, Array]] = {}
         self.quantum = config.quantum if config.quantum is not None else 0.0
 
@@ -162,7 +166,9 @@ class OdometerModel:
         H[:, SCALE] = D / (1.0 + x[SCALE])
         H[:, LATENCY] = C @ (travel.M_rate @ (self.C_bm @ f)) / -(1.0 + x[SCALE])
         H[:, LEVER] = moved
-        H[:, MOUNTING] = H[:, DIRECTION] = sideways = -Cm[:, 1:]
+        # f has length 1: a tangent turns it, and takes as much off along it.
+        sideways = shorter * (D[:, None] * f[1:] - Cm[:, 1:])
+        H[:, MOUNTING] = H[:, DIRECTION] = sideways
         H[:, GRADIENT] = sideways * acceleration
         arm = moved @ x[LEVER] - D
         mean = C @ epoch.B @ (self.C_bm / T)
@@ -174,9 +180,24 @@ class OdometerModel:
         if standing:
             return np.full(3, STANDING_NOISE**2)
         sigma = self._config.noise + self._config.noise_per_m * abs(travel.distance)
-        variance = sigma * sigma
+        variance = sigma * sigma + self._excess
         variance[0] += travel.variance
         return variance
+
+    def adapt(self, axes: Array, innovation: Array, S: Array) -> None:
+        """Let the noise grow where innovations are larger than their covariance says.
+
+        Along each axis of m the excess follows the mean of innovation^2 - S, but is not
+        negative: an odometer worse than declared must not make sigma lie. Outliers count for
+        no more than three sigma.
+
+        Parameters
+        ----------
+        axes : (3, 3) C_am; innovation : (3,) [m]; S : (3, 3) its covariance [m^2]
+        """
+        expected = np.einsum("ij,ik,kj->j", axes, S, axes)
+        found = np.minimum((innovation @ axes) ** 2, EXCESS_LIMIT * expected)
+        self._excess = np.maximum(self._excess + EXCESS_SHARE * (found - expected), 0.0)
 
     def _accelerations(self, epoch: AidedEpoch, travel: Travel) -> Array:
         """(2,) lateral (left) and forward acceleration of the vehicle, means [m/s^2]."""

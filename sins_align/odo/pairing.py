@@ -56,7 +56,7 @@ class Pairing:
         self._parts: list[ImuBlock] = []
         self._stamp_ns: IntArray = np.empty(0, dtype=np.int64)
         self._values: Array = np.empty((6, 0))  # w, f
-        self._quantum = 0.0 if self._track is None else self._track.quantum
+        self._quantum = 0.0
 
     @property
     def track(self) -> OdometerTrack | None:
@@ -65,9 +65,9 @@ class Pairing:
 
     @property
     def quantum(self) -> float:
-        """Distance of one count of the odometer [m], 0 where it is not known.
+        """Distance of one count of the odometer as of the begin of the last epoch [m].
 
-        As of the begin of the last epoch, though the odometer may be ahead.
+        0 where there is none; coarse while it is not known.
         """
         return self._quantum
 

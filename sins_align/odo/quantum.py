@@ -66,6 +66,11 @@ class QuantumFinder:
             return self.quantum
         return self._jump if self._moving >= ENOUGH else max(self._jump, COARSE_QUANTUM)
 
+    @property
+    def cautious_quantum(self) -> float:
+        """The quantum [m]; coarse while it is not known, 0 once it is clear that there is none."""
+        return COARSE_QUANTUM if not self.quantum and self._moving < ENOUGH else self.quantum
+
     def count_until_search(self, speed: Array) -> int:
         """How many of the next samples to add at once: a search comes after the last of them.
 

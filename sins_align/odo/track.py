@@ -64,7 +64,7 @@ class OdometerTrack:
         self._done = 0  # how many of them are judged
         self._is_settled = True  # nothing has come since
         self._knots: Array = np.empty((ROWS, 0))
-        self._found = [(-np.inf, self.quantum)]
+        self._found = [(-np.inf, self._cautious_quantum())]
 
     @property
     def quantum(self) -> float:
@@ -72,8 +72,15 @@ class OdometerTrack:
         return self._finder.quantum if self._given_quantum is None else self._given_quantum
 
     def quantum_at(self, time_s: float) -> float:
-        """`quantum` as the samples up to a time tell it, though there may be later ones [m]."""
-        return next((found for since, found in reversed(self._found) if since <= time_s), 0.0)
+        """Distance of one count as the samples up to a time tell it [m].
+
+        Coarse while they do not; there may be later samples already.
+        """
+        return next(found for since, found in reversed(self._found) if since <= time_s)
+
+    def _cautious_quantum(self) -> float:
+        given = self._given_quantum
+        return self._finder.cautious_quantum if given is None else given
 
     @property
     def knots(self) -> Array:
@@ -189,8 +196,8 @@ class OdometerTrack:
             self._append_with_holes(t, length, speed, variance, steps - length)
         if self._given_quantum is None:
             self._finder.add(v, length)
-            if self._finder.quantum != self._found[-1][1]:
-                self._found.append((float(t[-1]), self._finder.quantum))
+            if self._cautious_quantum() != self._found[-1][1]:
+                self._found.append((float(t[-1]), self._cautious_quantum()))
 
     def _filter(self, begin: int, end: int, length: Array) -> tuple[Array, Array]:
         """Speeds with outliers replaced, and variances of the intervals' displacements [m^2]."""

@@ -23,7 +23,6 @@ from sins_align.odo.guards import SOFT_LIMIT, ScaleJump, soften
 from sins_align.odo.layout import (
     ACCEL_BIAS,
     AZIMUTH,
-    EXTENDED,
     GYRO_BIAS,
     GYRO_TURN,
     ODOMETER,
@@ -33,8 +32,9 @@ from sins_align.odo.layout import (
     VELOCITY,
 )
 from sins_align.odo.navigation import WanderNavigation
+from sins_align.odo.odometer_model import LEVER as ODO_LEVER
 from sins_align.odo.odometer_model import POSITION as ODO_POSITION
-from sins_align.odo.odometer_model import SCALE, Displacement, OdometerModel
+from sins_align.odo.odometer_model import SCALE, OdometerModel
 from sins_align.odo.standing import Standing
 from sins_align.rotation import exp_rotation, skew3, unskew3
 from sins_align.types import Array
@@ -98,7 +98,6 @@ class WanderFilter:
         self.gyro_bias, self.accel_bias, self.gyro_turn = np.zeros((3, 3))
         self.one_azimuth = azimuth_sigma is not None
         self.consistency = math.nan
-        self._cos_latitude = max(math.cos(navigation.latitude), LEAST_COS_LATITUDE)
         self._model = ErrorModel(imu_noise(grade))
         self._jump = ScaleJump()
         up_b = navigation.C_ab[2]
@@ -113,6 +112,10 @@ class WanderFilter:
         variance[ACCEL_BIAS] = accel_variance(grade, up_b)
         variance[ODOMETER] = odometer.prior_variance()
         self.P = np.diag(variance)
+
+    @property
+    def _cos_latitude(self) -> float:
+        return max(math.sqrt(1.0 - float(self.navigation.e_a[2]) ** 2), LEAST_COS_LATITUDE)
 
     def bias(self, w_ib_b: Array) -> Array:
         """(6,) what is to be taken off the samples of an epoch with the rates w_ib_b (3, n+1)."""
@@ -133,7 +136,8 @@ class WanderFilter:
         position = axes_start @ odometer.x[ODO_POSITION]
         course = navigation.advance(epoch)
         factor, added = odometer.advance(T)
-        A = self._model.transition(epoch, course, self._azimuth_basis(), rate)
+        basis = self._azimuth_basis()
+        A = self._model.transition(epoch, course, basis, rate)
         A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
         A[PATH, POSITION] = -axes_start
         P = A @ self.P @ A.T
@@ -152,7 +156,15 @@ class WanderFilter:
         if stands or epoch.travel is not None:
             turn = course.w_ia * T
             seen = odometer.measure(epoch, C_start, navigation.C_ab, course.path, turn, stands)
-            self._update(P, seen, seen.residual - position, epoch)
+            H = self._model.within(epoch, course, basis, rate, odometer.x[ODO_LEVER])
+            H[:, PHI] = skew3(seen.arm)
+            H[:, ODOMETER] = seen.H
+            H[:, PATH] = _EYE
+            travel = None if stands else epoch.travel
+            innovation = seen.residual - position
+            S = self._update(P, H, seen.R, innovation, 0.0 if travel is None else travel.distance)
+            if travel is not None:
+                odometer.adapt(axes, innovation, S)
         else:
             self.P = P[:SIZE, :SIZE].copy()
         return stands
@@ -162,33 +174,33 @@ class WanderFilter:
         S = P[PATH, PATH] + STANDING_TOLERANCE**2 * np.eye(3)
         return bool(path @ np.linalg.solve(S, path) < STANDING_LIMIT)
 
-    def _update(self, P: Array, seen: Displacement, innovation: Array, epoch: AidedEpoch) -> None:
-        """Kalman update of the extended covariance, with the guards; feeds the state back."""
-        H = np.zeros((3, EXTENDED))
-        H[:, PHI] = skew3(seen.arm)
-        H[:, ODOMETER] = seen.H
-        H[:, PATH] = _EYE
+    def _update(self, P: Array, H: Array, R: Array, innovation: Array, distance: float) -> Array:
+        """Kalman update of the extended covariance, with the guards; feeds the state back.
+
+        distance : travelled [m]. Returns the innovation's covariance (3, 3), before an
+        outlier has widened it.
+        """
         PH = P @ H.T
         S = H @ PH
-        distance = 0.0 if epoch.travel is None else epoch.travel.distance
-        inverse = inverse3(S + seen.R)
-        jump = self._jump.test(seen.H[:, SCALE], inverse, innovation, distance)
+        inverse = inverse3(S + R)
+        jump = self._jump.test(H[:, _SCALE], inverse, innovation, distance)
         if jump is not None:
             # The inflation goes where the mismatch is.
             P[_SCALE, :] = P[:, _SCALE] = 0.0
             P[_SCALE, _SCALE] = jump * jump
             PH = P @ H.T
             S = H @ PH
-            inverse = inverse3(S + seen.R)
+            inverse = inverse3(S + R)
         nis = float(innovation @ inverse @ innovation)
         self._note(nis)
         if nis > SOFT_LIMIT:
-            inverse = inverse3(soften(S, seen.R, innovation, nis))
+            inverse = inverse3(soften(S, R, innovation, nis))
         PH = PH[:SIZE]
         gain = PH @ inverse
         P = P[:SIZE, :SIZE] - gain @ PH.T
         self.P = 0.5 * (P + P.T)
         self._correct(gain @ innovation)
+        return S + R
 
     def _note(self, nis: float) -> None:
         # An outlier that has lost its weight must not stand for all that come after it.
