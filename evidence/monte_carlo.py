@@ -78,7 +78,11 @@ def rms(values: Array, axis: int | None = None) -> Any:
 
 
 def every_seed(
-    run_one: Callable[..., Result], options: Any, seeds: Iterable[int], *arguments: Any, jobs: int = 2
+    run_one: Callable[..., Result],
+    options: Any,
+    seeds: Iterable[int],
+    *arguments: Any,
+    jobs: int = 2,
 ) -> list[Result]:
     """`run_one(options with the seed, *arguments)` for every seed, on `jobs` cores."""
     tasks = (delayed(run_one)(replace(options, seed=seed), *arguments) for seed in seeds)

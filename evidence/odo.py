@@ -1,0 +1,207 @@
+"""The figures of odo_align on simulated drives: method wander_kf, any heading.
+
+RMS at a time is over all runs, with the filter's own attitude where no heading is shown yet.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from evidence.checks import Case, Cases, Check, upper
+from evidence.monte_carlo import every_seed, misalignment, rms
+from evidence.odo_runs import (
+    Drive,
+    below_since,
+    divergence,
+    drive,
+    heading_errors,
+    make_config,
+    nees,
+    rows,
+)
+from sins_align.limits import heading_limit
+from sins_align.odo.coarse import CoarseAligner
+from sins_align.odo.epoch import integrate_epoch
+from sins_align.odo.pairing import Pairing
+from sins_align.simulate import VehicleOptions, simulate_vehicle
+from sins_align.types import Array, ImuBlock
+from sins_align.units import ARCMIN, DEG
+
+# For this many runs the square of an RMS stays within these bounds in 99.9 % of all cases.
+NEES = (0.4, 2.2)
+
+
+def _coarse_errors(options: VehicleOptions) -> Array:
+    """(T, 4) phi [rad] and sigma of heading, of the coarse alignment alone, by the second."""
+    run = simulate_vehicle(options)
+    config = make_config(options, {})
+    assert config.position is not None
+    aligner = CoarseAligner(config.position, config.grade, config.odometer)
+    pairing = Pairing(config.odometer)
+    pairing.add_odometer(run.odometer)
+    pairing.add_imu(ImuBlock(*run.imu))
+    table = np.full((round(options.duration_s) + 1, 4), np.nan)
+    while (paired := pairing.next(0.0)) is not None:
+        epoch = integrate_epoch(paired, config.sampling)
+        aligner.add(epoch)
+        found = aligner.attitude
+        if found is not None:
+            phi = misalignment(found.C_nb, run.truth.C_nb_at(found.stamp_ns))
+            second = round((found.stamp_ns - options.start_stamp_ns) * 1e-9)
+            table[second:] = *phi, math.sqrt(found.covariance[2, 2])
+    return table
+
+
+def coarse(seeds: int) -> Cases:
+    """Coarse alignment alone: heading from nothing, and from ground that tilts by 2 deg."""
+    for scenario, bounds in (("ring", {60: None, 120: 5.0, 180: 1.2}), ("static", {60: 0.4})):
+        flat = VehicleOptions(
+            scenario=scenario, duration_s=max(bounds) + 3.0, ground_roll_deg=0.0,
+            ground_pitch_deg=0.0,
+        )  # fmt: skip
+        tilted = replace(flat, ground_roll_deg=2.0, ground_pitch_deg=-2.0)
+        tables = {}
+        for name, options in (
+            ("random tilt", replace(flat, ground_roll_deg=None, ground_pitch_deg=None)),
+            ("no tilt", flat),
+            ("tilt of 2 deg", tilted),
+        ):
+            tables[name] = table = np.array(every_seed(_coarse_errors, options, range(seeds)))
+            lines, checks = [], []
+            for t, bound in bounds.items():
+                error, sigma = table[:, t, 2] / DEG, table[:, t, 3] / DEG
+                level = table[:, t, :2] / ARCMIN
+                lines.append(
+                    f"      {t:4d} s  heading deg: mean {error.mean():8.4f}  RMS {rms(error):7.4f}"
+                    f"  max {np.abs(error).max():7.4f}  sigma {rms(sigma):7.4f}"
+                    f"  NEES {rms(error / sigma) ** 2:5.2f}  level ': RMS {rms(level):6.3f}"
+                )
+                if bound is not None:
+                    checks.append(upper(f"heading RMS at {t} s [deg]", rms(error), bound))
+            if name == "tilt of 2 deg":
+                at = max(bounds)
+                change = (table - tables["no tilt"])[:, at, 2]
+                share = np.abs(change / table[:, at, 3]).max()
+                checks.append(upper("largest change of heading by the tilt / sigma", share, 0.5))
+            yield Case(f"coarse, {scenario}, {name}", seeds, lines, checks)
+
+
+# RMS and largest heading error at 600 s [arcmin]; 1 deg and 10' from when on [s]; level [arcmin].
+ACCURACY = {
+    "ring": (2.5, 6.0, 65, 150, 0.15),
+    "figure8": (2.8, 6.0, 65, 150, 0.15),
+    "urban": (2.8, 6.0, 65, 150, 0.15),
+    "moving_start": (2.8, 6.0, 95, 160, 0.15),
+    "static": (6.5, 18.0, 25, 150, 0.4),
+    "straight": (6.5, 18.0, 65, 160, 0.4),
+}
+
+
+def accuracy(seeds: int) -> Cases:
+    """Accuracy of wander_kf after 600 s, when it gets there, and whether sigma says so."""
+    for scenario, (bound, most, degree_s, ten_s, level) in ACCURACY.items():
+        drives = every_seed(drive, VehicleOptions(scenario=scenario), range(seeds))
+        curve = rms(heading_errors(drives), axis=0)
+        error = heading_errors(drives)[:, -1]
+        levels = rms(np.array([d.phi[-1, :2] for d in drives]), axis=0) / ARCMIN
+        checks = [
+            upper("heading RMS at 600 s [']", rms(error), bound),
+            upper("heading max at 600 s [']", np.abs(error).max(), most),
+            upper("heading RMS below 1 deg from [s]", below_since(curve, 60.0), degree_s),
+            upper("heading RMS below 10' from [s]", below_since(curve, 10.0), ten_s),
+            upper("level RMS at 600 s, the larger one [']", levels.max(), level),
+            *(Check(f"heading NEES at {t} s", nees(drives, t), *NEES) for t in (120, 300, 600)),
+            *divergence(drives),
+        ]
+        if scenario not in ("static", "straight"):
+            checks.append(upper("heading RMS at 120 s [']", curve[120], 20.0))
+        if scenario != "static":
+            checks.append(_scale_check(drives))
+        yield Case(f"wander_kf, {scenario}, fog", seeds, rows(drives), checks)
+    drives = every_seed(drive, VehicleOptions(scenario="ring", grade="paper_odo"), range(seeds))
+    error = heading_errors(drives)[:, -1]
+    checks = [
+        upper("heading RMS at 600 s [']", rms(error), 0.6),
+        upper("heading max at 600 s [']", np.abs(error).max(), 1.5),
+        Check("heading NEES at 600 s", nees(drives, 600), *NEES),
+        *divergence(drives),
+        _scale_check(drives),
+    ]
+    yield Case("wander_kf, ring, paper_odo", seeds, rows(drives), checks)
+
+
+def _scale_check(drives: list[Drive]) -> Check:
+    worst = max(abs(d.scale_error[-1]) for d in drives)
+    return upper("scale error at 600 s, largest [%]", 100.0 * worst, 0.03)
+
+
+FAULTS: dict[str, dict[str, Any]] = {
+    "slip of +50 %, 2 s, ten times": {"slip_count": 10},
+    "1 % outliers": {"outlier_fraction": 0.01},
+    "odometer stuck at 0 for 30 s": {"stuck": ((300.0, 30.0),)},
+    "dropout for 30 s": {"dropouts": ((300.0, 30.0),)},
+    "mounting 0.3, 0.3 deg": {"mounting_rpy_deg": (0.0, 0.3, 0.3)},
+    "latency 100 ms and lever arm": {
+        "odometer_latency_s": 0.1,
+        "odometer_lever_arm_m": (1.2, -0.3, 0.5),
+    },
+    "reversing": {"scenario": "reverse"},
+    "scale +2 % at 300 s": {"scale_step": (300.0, 0.02)},
+    "scale +2 % at 500 s": {"scale_step": (500.0, 0.02)},
+    "odometer stuck at 0 from 100 s, urban": {"scenario": "urban", "stuck": ((100.0, 30.0),)},
+}
+
+
+def faults(seeds: int) -> Cases:
+    """An odometer that fails, and a vehicle that is not what was declared; on the ring."""
+    for name, changes in FAULTS.items():
+        options = VehicleOptions(**{"scenario": "ring", **changes})
+        drives = every_seed(drive, options, range(seeds))
+        error = heading_errors(drives)[:, -1]
+        checks = [upper("heading RMS at 600 s [']", rms(error), 3.0), *divergence(drives)]
+        if options.scale_step is not None:
+            at = round(options.scale_step[0]) + 15
+            worst = max(abs(d.scale_error[at]) for d in drives)
+            checks.append(upper("scale error 15 s later, largest [%]", 100.0 * worst, 0.2))
+        yield Case(f"wander_kf, {name}", seeds, rows(drives), checks)
+
+
+def latitudes(seeds: int) -> Cases:
+    """From the southern hemisphere to the pole: static against sec L, and the ring."""
+    scaled = {}
+    for latitude in (40.0, -60.0, 0.0, 75.0, 85.0):
+        options = VehicleOptions(scenario="static", latitude_deg=latitude)
+        drives = every_seed(drive, options, range(seeds))
+        error = heading_errors(drives)[:, -1]
+        limit = heading_limit(options.imu_grade, latitude * DEG) / ARCMIN
+        ratio = rms(error) / limit
+        scaled[latitude] = rms(error) * math.cos(latitude * DEG)
+        checks = [
+            Check(f"heading RMS over theory ({limit:.2f}')", ratio, 0.6, 1.4),
+            Check("RMS cos L against that at 40 deg", scaled[latitude] / scaled[40.0], 0.9, 1.1),
+            Check("heading NEES at 600 s", nees(drives, 600), *NEES),
+            *divergence(drives),
+        ]
+        yield Case(f"wander_kf, static, latitude {latitude:g}", seeds, rows(drives), checks)
+    for latitude in (-60.0, 0.0, 75.0, 85.0):
+        options = VehicleOptions(scenario="ring", latitude_deg=latitude)
+        drives = every_seed(drive, options, range(seeds))
+        checks = [Check("heading NEES at 600 s", nees(drives, 600), *NEES), *divergence(drives)]
+        yield Case(f"wander_kf, ring, latitude {latitude:g}", seeds, rows(drives), checks)
+    options = VehicleOptions(scenario="static", latitude_deg=89.9)
+    drives = every_seed(drive, options, range(seeds))
+    shown = sum(bool(np.nansum(d.published)) for d in drives)
+    told = sum("unobservable" in d.status.reason for d in drives)
+    checks = [
+        upper("runs that ever show a heading", shown, 0.0),
+        Check("runs whose status says unobservable", told, seeds, seeds),
+    ]
+    lines = [f"      status: {drives[0].status.reason}", f"      remedy: {drives[0].status.remedy}"]
+    yield Case("wander_kf, static, latitude 89.9", seeds, lines, checks)
+
+
+SECTIONS = (coarse, accuracy, faults, latitudes)
