@@ -188,7 +188,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     _odo("odometer_latency_sigma_s", 0.15, "its 1 sigma; 0: exact", low=0.0, high=2.0),
     _odo(
         "odometer_latency_walk_s_sqrt_s",
-        0.0,
+        0.0003,
         "random walk of the latency, for a clock that drifts",
         low=0.0,
         high=1.0,

@@ -84,7 +84,6 @@ VEHICLE_TABLE: Table = {
     ),
     **_with_default("grade", "fog"),
     **_with_default("duration_s", 600.0),
-    **_with_default("sampling", "mean"),
     "heading_deg": _number(
         "heading_deg", NAN, "course at the start, clockwise from north; NaN: random"
     ),

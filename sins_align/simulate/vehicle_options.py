@@ -95,7 +95,7 @@ class VehicleOptions:
     latitude_deg: float = 40.0
     longitude_deg: float = 116.0
     altitude_m: float = 50.0
-    sampling: str | ImuSampling = "mean"
+    sampling: str | ImuSampling = "instantaneous"
     heading_deg: float | None = None
     ground_roll_deg: float | None = None
     ground_pitch_deg: float | None = None
