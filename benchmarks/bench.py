@@ -24,14 +24,21 @@ sys.path.insert(0, str(ROOT))
 import numpy as np  # noqa: E402
 
 from benchmarks.live_node import measure_live  # noqa: E402
-from sins_align.config import swing_config  # noqa: E402
+from sins_align.config import odo_config, swing_config  # noqa: E402
 from sins_align.ros.bags import open_bag  # noqa: E402
 from sins_align.ros.bags_write import ImuBagWriter  # noqa: E402
 from sins_align.session import Session  # noqa: E402
-from sins_align.simulate import SwingOptions, simulate_swing  # noqa: E402
+from sins_align.simulate import (  # noqa: E402
+    SwingOptions,
+    VehicleOptions,
+    VehicleRun,
+    simulate_swing,
+    simulate_vehicle,
+)
 from sins_align.types import ImuSamples, Position  # noqa: E402
 
 DURATION_S = 420.0
+DRIVE_S = 900.0
 LATITUDE = np.radians(40.0)
 
 
@@ -96,6 +103,29 @@ def bench_estimation() -> None:
             report(f"estimation, {method}, {rate:g} Hz, per sample", len(imu), times)
             print(f"{'':58s} {times[0]:8.3f} s for {DURATION_S:g} s of data")
     part = imu.select(slice(0, 5000))
+    times = cpu_times(lambda: mechanise_one_by_one(part), 3)
+    report("peer: mechanisation alone, numpy, sample by sample", len(part), times)
+
+
+def bench_odometer() -> None:
+    """The session on a drive in memory: IMU at a rate, odometer at 20 Hz, one core."""
+    for method in ("wander_kf", "wander_ekf"):
+        for rate in (200.0, 100.0):
+            drive = simulate_vehicle(
+                VehicleOptions(scenario="ring", rate_hz=rate, duration_s=DRIVE_S)
+            )
+            config = odo_config({"method": method, "latitude_deg": 40.0, "imu_grade": "fog"})
+
+            def estimate(drive: VehicleRun = drive, config: object = config) -> object:
+                session = Session(config)
+                session.add_odometer(drive.odometer)
+                session.add_imu(drive.imu)
+                return session.conclusion
+
+            times = cpu_times(estimate, 5)
+            report(f"estimation, {method}, {rate:g} Hz, per IMU sample", len(drive.imu), times)
+            print(f"{'':58s} {times[0]:8.3f} s for {DRIVE_S:g} s of data")
+    part = drive.imu.select(slice(0, 5000))
     times = cpu_times(lambda: mechanise_one_by_one(part), 3)
     report("peer: mechanisation alone, numpy, sample by sample", len(part), times)
 
@@ -173,6 +203,7 @@ def main() -> None:
     """Print all figures."""
     bench_machine()
     bench_estimation()
+    bench_odometer()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         bench_replay(bench_bags(folder), folder)

@@ -38,6 +38,8 @@ from sins_align.types import (
 NO_POSITION = "no latitude"
 NO_POSITION_REMEDY = "set latitude_deg, or publish a NavSatFix on topic fix"
 STREAM_REMEDY = "check the IMU's stamps, units and rate"
+BASE_REMEDY = "keep the base in place; check imu_grade, imu_sampling and the latitude"
+VEHICLE_REMEDY = "check the odometer, imu_grade, imu_sampling and the latitude"
 GRADE_REMEDY = "check latitude_deg, imu_grade and the IMU's units"
 # 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
 MAX_INTERVAL_S = 0.125
@@ -94,7 +96,13 @@ class Session:
     def _make_completer(self) -> Completer:
         grade = self._config.grade
         bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
-        return Completer(self._config.completion, level_limit(grade), bias)
+        still = isinstance(self._config, SwingConfig)
+        return Completer(
+            self._config.completion,
+            level_limit(grade),
+            bias,
+            BASE_REMEDY if still else VEHICLE_REMEDY,
+        )
 
     def _waiting_status(self) -> Status:
         if self._position is None:

@@ -17,7 +17,6 @@ POLE_REMEDY = "there is no heading at the pole: check latitude_deg"
 MAX_CONSISTENCY = 2.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
-CONSISTENCY_REMEDY = "keep the base in place; check imu_grade, imu_sampling and the latitude"
 
 
 class Completer:
@@ -28,13 +27,19 @@ class Completer:
     completion : thresholds and time to hold
     level_limit : what the declared accelerometers allow for the levels [rad]
     gyro_bias_sigma : declared, drift included [rad/s]; 0 where none is estimated
+    remedy : what helps where the data are not what the settings say
     """
 
     def __init__(
-        self, completion: Completion, level_limit: float = 0.0, gyro_bias_sigma: float = 0.0
+        self,
+        completion: Completion,
+        level_limit: float = 0.0,
+        gyro_bias_sigma: float = 0.0,
+        remedy: str = "",
     ) -> None:
         self._completion = completion
         self._level_limit = level_limit
+        self._remedy = remedy
         self._gyro_bias_sigma = gyro_bias_sigma
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
@@ -90,12 +95,12 @@ class Completer:
             missing.append(
                 f"the innovations are {estimate.consistency:.1f} times what they should be"
             )
-            remedies.append(CONSISTENCY_REMEDY)
+            remedies.append(self._remedy)
         bias = max(map(abs, estimate.gyro_bias.tolist()))
         if self._gyro_bias_sigma > 0.0 and bias > MAX_BIAS_RATIO * self._gyro_bias_sigma:
             ratio = bias / self._gyro_bias_sigma
             missing.append(f"the estimated gyro bias is {ratio:.1f} times what is declared")
-            remedies.append(CONSISTENCY_REMEDY)
+            remedies.append(self._remedy)
         return "; ".join(missing), "; ".join(dict.fromkeys(filter(None, remedies)))
 
     def _heading_remedy(self, limit: float) -> str:
@@ -105,7 +110,7 @@ class Completer:
             return ""
         return (
             f"the declared gyro bias allows {limit / ARCMIN:.2f}' at this latitude: raise"
-            " heading_threshold_arcmin, turn the base by 90 deg, or use a better gyro"
+            " heading_threshold_arcmin, turn by 90 deg, or use a better gyro"
         )
 
     def _level_remedy(self) -> str:
