@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def estimate(
     )
 
 
-def status_of(found: Estimate | None, limit: float = 0.0, **changes: float) -> Status:
+def status_of(found: Estimate | None, limit: float = 0.0, **changes: Any) -> Status:
     """Held long enough."""
     completer = Completer(COMPLETION, **changes)
     completer.update(Advance(0, found), 1.0, limit, "")
