@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from sins_align.odo.navigation import WanderNavigation
 from sins_align.odo.odometer_model import LATENCY, OdometerModel
 from sins_align.odo.pairing import EPOCH_S, Paired, Pairing
 from sins_align.odo.standing import StandingDetector
-from sins_align.odo.wander import WanderFilter
+from sins_align.odo.wander import WanderFilter, accel_variance
 from sins_align.rotation import (
     dcm_from_quaternion,
     exp_rotation,
@@ -66,6 +67,7 @@ class OdoAligner:
         self._filter: WanderFilter | None = None
         self._estimate: Estimate | None = None
         self._turned: Array | None = None  # by the IMU samples since the last epoch
+        self._accel_triad = np.zeros(3)  # of the accelerometers' biases, not in the filter's P
         self._limit = heading_limit(config.grade, position.latitude)
 
     def update(self, block: ImuBlock) -> list[Advance]:
@@ -159,6 +161,10 @@ class OdoAligner:
         level = max(LEVEL_SIGMA, math.sqrt(float(coarse.covariance.diagonal()[:2].max())))
         velocity = math.hypot(VELOCITY_SIGMA, VELOCITY_SHARE * speed)
         azimuth = None if variance is None else math.sqrt(variance)
+        # On a vehicle a scale error looks like a bias: the filter knows their sum.
+        self._accel_triad = accel_variance(
+            replace(self._config.grade, accel_bias=0.0), navigation.C_ab[2]
+        )
         return WanderFilter(navigation, odometer, self._config.grade, level, velocity, azimuth)
 
     def _process(self, filter_: WanderFilter, paired: Paired) -> None:
@@ -209,7 +215,7 @@ class OdoAligner:
             gyro_bias=filter_.gyro_bias,
             gyro_bias_sigma=np.sqrt(variance[GYRO_BIAS]),
             accel_bias=filter_.accel_bias,
-            accel_bias_sigma=np.sqrt(variance[ACCEL_BIAS]),
+            accel_bias_sigma=np.sqrt(variance[ACCEL_BIAS] + self._accel_triad),
             odometer=None if self._config.stationary else odometer,
             consistency=filter_.consistency,
         )
