@@ -1,5 +1,5 @@
 # make venv      .venv with everything in it, and the executables in .venv/bin
-# make demo      align over the shipped bag and print the result beside the truth
+# make demo      align over the shipped bag, and over a simulated drive; results beside the truth
 # make test      lint, types, import contract, tests
 # make colcon    build the ROS package and look at what got installed
 # make bench     speed
@@ -60,6 +60,10 @@ $(STAMP): constraints.txt setup.py setup.cfg
 
 demo: venv
 	$(BIN)/align_replay swing bags/swing_rlg --truth bags/swing_rlg/truth.json --out out/demo
+	rm -rf out/drive
+	$(BIN)/align_simulate odo --scenario urban --seed 1 --rate 100 --duration 400 --out out/drive
+	$(BIN)/align_replay odo out/drive --params config/odo_align.yaml --truth out/drive/truth.json \
+		--out out/demo_odo
 
 test: venv
 	$(BIN)/ruff check .
