@@ -223,6 +223,12 @@ def nees(drives: Sequence[Drive], at_s: int) -> float:
     return float(rms(ratios(drives)[:, at_s]) ** 2)
 
 
+def shown_nees(drives: Sequence[Drive]) -> float:
+    """As `nees`, of every heading that was shown, at whatever time."""
+    shown = np.array([d.published for d in drives]) == 1.0
+    return float(rms(ratios(drives)[shown]) ** 2)
+
+
 def below_since(curve: Array, bound: float) -> float:
     """The second from which on `curve` (T,) stays below; infinity where it does not."""
     above = np.flatnonzero(~(curve < bound))
