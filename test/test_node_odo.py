@@ -53,7 +53,7 @@ SIMULATION = {
 }  # fmt: skip
 ALIGNMENT = {
     "latitude_deg": 40.0, "longitude_deg": 116.0, "altitude_m": 50.0,
-    "imu_grade": "fog", "imu_sampling": "mean", "odometer_quantum_m": 0.01,
+    "imu_grade": "fog",
     "odom_type": "TwistWithCovarianceStamped",
     "heading_threshold_arcmin": 30.0, "level_threshold_arcsec": 120.0, "hold_s": 2.0,
 }  # fmt: skip

@@ -24,7 +24,7 @@ from sins_align.types import IntArray, OdometerSamples
 SECOND = 1_000_000_000
 TWIST = KINDS["odom"][0]
 PLACE = ["--latitude-deg", "40", "--longitude-deg", "116", "--altitude-m", "50"]
-IMU = ["-p", "imu_grade:=fog", "-p", "imu_sampling:=mean", "-p", "odometer_quantum_m:=0.01"]
+IMU = ["-p", "imu_grade:=fog"]
 EASY = ["-p", "heading_threshold_arcmin:=60", "-p", "level_threshold_arcsec:=120"]
 WORDS = [*PLACE, *IMU, *EASY, "-p", "hold_s:=2"]
 

@@ -44,7 +44,7 @@ def _parser() -> argparse.ArgumentParser:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="|".join(NODES))
     for name, what in (
         ("swing", "on a swinging or still base"),
-        ("odo", "of a vehicle, with its odometer"),
+        ("odo", "on a vehicle with an odometer"),
     ):
         kind = kinds.add_parser(
             name, help=f"{what}, as the node {NODES[name]}", epilog=EPILOG,
