@@ -13,12 +13,13 @@ from sins_align.increments import integrate_rotation
 from sins_align.limits import heading_limit
 from sins_align.odo.coarse import CoarseAligner, CoarseAttitude
 from sins_align.odo.epoch import AidedEpoch, integrate_epoch
+from sins_align.odo.imu_model import accel_variance
 from sins_align.odo.layout import ACCEL_BIAS, GYRO_BIAS, ODOMETER
 from sins_align.odo.navigation import WanderNavigation
 from sins_align.odo.odometer_model import LATENCY, OdometerModel
 from sins_align.odo.pairing import EPOCH_S, Paired, Pairing
 from sins_align.odo.standing import StandingDetector
-from sins_align.odo.wander import WanderFilter, accel_variance
+from sins_align.odo.wander import WanderFilter
 from sins_align.rotation import (
     dcm_from_quaternion,
     exp_rotation,
@@ -64,6 +65,7 @@ class OdoAligner:
         self._detector = StandingDetector(config.grade, config.stationary)
         self._coarse = self._make_coarse()
         self._early: list[tuple[Paired, AidedEpoch]] = []  # before the start
+        self._silent = 0  # epochs without an odometer before the start
         self._filter: WanderFilter | None = None
         self._estimate: Estimate | None = None
         self._turned: Array | None = None  # by the IMU samples since the last epoch
@@ -102,7 +104,9 @@ class OdoAligner:
         if self._filter is not None:
             self._process(self._filter, paired)
         elif not self._begin(paired):
-            return Advance(stamp_ns, None, SILENT, SILENT_REMEDY)
+            self._silent += 1  # the first epoch is never whole: that alone means nothing
+            silent = self._silent >= START_EPOCHS
+            return Advance(stamp_ns, None, *((SILENT, SILENT_REMEDY) if silent else ("", "")))
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
             return Advance(stamp_ns, None, *self._why_not())

@@ -85,3 +85,19 @@ class ScaleJump:
             self._votes.clear()
             return jump
         return None
+
+
+def inverse3(S: Array) -> Array:
+    """Inverse of a symmetric positive matrix (3, 3), by cofactors.
+
+    Raises
+    ------
+    LinAlgError : it is not positive
+    """
+    (a, b, c), (_, d, e), (_, _, f) = S.tolist()
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * A + b * B + c * C
+    if not determinant > 0.0:
+        raise np.linalg.LinAlgError("the innovation's covariance is not positive")
+    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+    return np.array([[A, B, C], [B, D, E], [C, E, F]]) / determinant

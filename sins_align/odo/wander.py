@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
 from sins_align.odo.azimuth import Azimuth, find_azimuth
 from sins_align.odo.epoch import AidedEpoch
-from sins_align.odo.error_model import ErrorModel, ImuNoise
-from sins_align.odo.guards import SOFT_LIMIT, ScaleJump, soften
+from sins_align.odo.error_model import ErrorModel
+from sins_align.odo.guards import SOFT_LIMIT, ScaleJump, inverse3, soften
+from sins_align.odo.imu_model import accel_variance, gyro_variances, imu_noise
 from sins_align.odo.layout import (
     ACCEL_BIAS,
     AZIMUTH,
@@ -48,9 +48,6 @@ MOST_INCONSISTENT = 20.0  # of one epoch
 # The navigation's path in an epoch of standing: how far it may be from nothing.
 STANDING_TOLERANCE = 0.01  # [m]
 STANDING_LIMIT = 25.0  # of its normalised square
-# These stand for sensors that claim to have no noise.
-LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
-LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
 
 _EYE = np.eye(3)
 _ONE_AND_A_HALF = 1.5 * _EYE
@@ -292,48 +289,3 @@ class WanderFilter:
         turn[2] -= 1.0
         covariance = C_na @ rest[PHI, PHI] @ C_na.T + azimuth.sigma**2 * np.outer(turn, turn)
         return Attitude(C_na @ C_ab, 0.5 * (covariance + covariance.T))
-
-
-def inverse3(S: Array) -> Array:
-    """Inverse of a symmetric positive matrix (3, 3), by cofactors.
-
-    Raises
-    ------
-    LinAlgError : it is not positive
-    """
-    (a, b, c), (_, d, e), (_, _, f) = S.tolist()
-    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-    determinant = a * A + b * B + c * C
-    if not determinant > 0.0:
-        raise np.linalg.LinAlgError("the innovation's covariance is not positive")
-    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
-    return np.array([[A, B, C], [B, D, E], [C, E, F]]) / determinant
-
-
-def imu_noise(grade: ImuGrade) -> ImuNoise:
-    """White noise of a grade; the drift of the biases as a random walk."""
-    walk = grade.gyro_bias_instability * math.sqrt(2.0 / grade.gyro_bias_correlation_s)
-    return ImuNoise(
-        max(grade.gyro_arw, LEAST_GYRO_NOISE), max(grade.accel_vrw, LEAST_ACCEL_NOISE), walk
-    )
-
-
-def gyro_variances(grade: ImuGrade, up_b: Array) -> tuple[Array, Array]:
-    """(3,), (3,) variances of the bias [rad^2/s^2] and of the response to turning about up.
-
-    Vehicles turn about the vertical: of the nine scale errors and misalignments only their
-    combination by it matters.
-    """
-    bias = grade.gyro_bias**2 + grade.gyro_bias_instability**2
-    return np.full(3, max(bias, 1e-30)), _triad_variance(grade.gyro_scale, grade.misalignment, up_b)
-
-
-def accel_variance(grade: ImuGrade, up_b: Array) -> Array:
-    """(3,) of bias and, as gravity is nearly all there is, scale errors and misalignments."""
-    triad = _triad_variance(grade.accel_scale, grade.misalignment, up_b)
-    return grade.accel_bias**2 + GRAVITY_EQUATOR**2 * triad
-
-
-def _triad_variance(scale: float, misalignment: float, up_b: Array) -> Array:
-    square = up_b * up_b
-    return scale**2 * square + misalignment**2 * (1.0 - square)
