@@ -85,8 +85,8 @@ class OdometerConfig:
     lever_arm, lever_arm_sigma : (3,) from the IMU to its reference point [m]
     scale_sigma, scale_walk : [1], [1/sqrt(s)]
     quantum : distance of one count [m], None: found from the data
-    noise : (3,) of the displacement over an epoch, forward, left, up [m], and noise_per_m :
-        (3,) what it grows by with the distance travelled [1]
+    noise : (3,) of the displacement in a second, forward, left, up [m], and noise_per_m :
+        (3,) what it grows by with the distance travelled in it [1]
     direction_sigma : slow part of the direction of travel, lateral and vertical [rad]
     mounting_rpy, mounting_sigma : vehicle's axes in b: roll, pitch, yaw, REP-103 [rad]
     """

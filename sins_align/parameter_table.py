@@ -227,7 +227,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     _odo(
         "odometer_noise_m",
         [0.002, 0.0015, 0.0015],
-        "noise of the displacement over an epoch (about 1 s), forward, lateral, up, 1 sigma",
+        "noise of the displacement in a second, forward, lateral, up, 1 sigma: a floor",
         low=1e-5,
         high=100.0,
         length=3,
@@ -235,7 +235,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     _odo(
         "odometer_noise_per_m",
         [0.0003, 0.0005, 0.0007],
-        "what it grows by with the distance travelled in the epoch",
+        "what it grows by with the distance travelled in the second",
         low=0.0,
         high=1.0,
         length=3,

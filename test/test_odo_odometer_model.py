@@ -304,7 +304,7 @@ def test_estimate_in_terms_of_the_interface() -> None:
     rng = np.random.default_rng(3)
     root = rng.normal(size=(COUNT, COUNT))
     covariance = 1e-6 * root @ root.T
-    found = model.estimate(covariance)
+    found = model.estimate(np.zeros(COUNT), covariance)
     assert found.scale_error == 0.02
     assert found.scale_sigma == pytest.approx(math.sqrt(covariance[SCALE, SCALE]))
     assert found.latency_s == pytest.approx(0.08)
@@ -335,7 +335,7 @@ def test_mounting_signs(yaw: float, pitch: float) -> None:
     model = OdometerModel(config(mounting_rpy_deg=[0.0, 0.0, 0.0]))
     true = Rotation.from_euler("ZYX", np.radians([yaw, pitch, 0.0])).as_matrix()[:, 0]
     model.x[MOUNTING] = true[1:] / true[0]
-    found = model.estimate(np.eye(COUNT)).mounting_rpy
+    found = model.estimate(np.zeros(COUNT), np.eye(COUNT)).mounting_rpy
     np.testing.assert_allclose(found, np.radians([0.0, pitch, yaw]), atol=1e-4)
 
 

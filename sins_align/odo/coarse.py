@@ -91,7 +91,10 @@ class CoarseAttitude(NamedTuple):
 
 
 class CoarseAligner:
-    """Sums up epochs and solves the sums when asked; memory and work per epoch are constant.
+    """Sums up epochs and solves the sums when asked.
+
+    Memory does not grow; work only by a solution that judges the innovations and is renewed
+    ever more seldom.
 
     Parameters
     ----------
@@ -114,6 +117,15 @@ class CoarseAligner:
         self._turned, self._angle = np.zeros(3), 0.0  # sums of the turns, and of their angles
         self._way, self._speed = np.zeros(3), 0.0  # D [m], forward speed of late [m/s]
         self._restart()
+
+    @property
+    def quantum(self) -> float:
+        """Distance of one count of the odometer, as far as known [m]."""
+        return self._odometer.quantum
+
+    @quantum.setter
+    def quantum(self, value: float) -> None:
+        self._odometer.quantum = value
 
     def _restart(self) -> None:
         self._X = np.zeros((9, SIZE))
@@ -145,7 +157,7 @@ class CoarseAligner:
                 d = self._believe_imu(X, d, X[POSITION] @ self._judge.z - d)
             X[POSITION] = P[POSITION] = 0.0
             P[:, POSITION] = 0.0
-            P[POSITION, POSITION] = self._odometer.end_noise(C @ epoch.C_end, travel)
+            P[POSITION, POSITION] = self._odometer.start_noise(C @ epoch.C_end)
         self._X, self._P = X, P
         turn = 2.0 * epoch.q_end[1:]
         self._turned += C @ turn

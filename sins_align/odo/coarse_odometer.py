@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from sins_align.config import OdometerConfig
@@ -17,13 +15,14 @@ from sins_align.odo.coarse_solution import (
     TRAVEL,
 )
 from sins_align.odo.epoch import AidedEpoch, Travel
+from sins_align.odo.odometer_model import (
+    DIRECTION_TIME_S,
+    GRADIENT_SIGMA,
+    QUANTUM_SHARE,
+    STANDING_SIGMA,
+)
 from sins_align.rotation import dcm_from_rpy
 from sins_align.types import Array
-
-STANDING_SIGMA = 1e-3  # how far engine, wind and people move a standing vehicle [m]
-GRADIENT_SIGMA = math.radians(0.3)  # sideslip, suspension [rad/(m/s^2)]
-# Correlation time of the direction of travel, forward (none), left, up [s].
-DIRECTION_TIME_S = np.array([1.0, 2.0, 1.0])
 
 
 class CoarseOdometer:
@@ -31,6 +30,7 @@ class CoarseOdometer:
 
     def __init__(self, config: OdometerConfig) -> None:
         self._config = config
+        self.quantum = 0.0 if config.quantum is None else config.quantum
         self._C_bm = dcm_from_rpy(*config.mounting_rpy.tolist())
         self.forward_b = self._C_bm[:, 0].copy()
         eta = config.mounting_sigma
@@ -75,10 +75,12 @@ class CoarseOdometer:
     def start_noise(self, C: Array) -> Array:
         """Covariance of the odometer's position: (3, 3) [m^2].
 
-        The declared noise is that of an epoch, which has two ends.
+        The declared noise is that of an epoch, which has two ends; a count may be lost at each.
         """
         Cm = C @ self._C_bm
-        return (0.5 * Cm * self._config.noise**2) @ Cm.T
+        variance = 0.5 * self._config.noise**2
+        variance[0] += (QUANTUM_SHARE * self.quantum) ** 2
+        return (Cm * variance) @ Cm.T
 
     def end_noise(self, C: Array, travel: Travel | None) -> Array:
         """The same at the end of an epoch, where C is b to b0; None: the vehicle stands."""
@@ -94,8 +96,8 @@ class CoarseOdometer:
         """
         known, T, distance = self._config, epoch.duration_s, abs(travel.distance)
         decay = np.exp(-T / DIRECTION_TIME_S)
-        slow = known.direction_sigma * distance * np.sqrt((1.0 + decay) / (1.0 - decay))
-        slow[0] = 0.0
+        slow = np.zeros(3)
+        slow[1:] = known.direction_sigma * distance * np.sqrt((1.0 + decay) / (1.0 - decay))
         variance = np.maximum(known.noise_per_m * distance, slow) ** 2
         variance[0] += travel.variance
         Cm = C @ (epoch.B @ self._C_bm) / T

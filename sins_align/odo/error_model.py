@@ -10,7 +10,8 @@ the sensors what is left in the corrected samples:
 eps, nabla: biases of gyros and accelerometers; kappa: the gyros' response to the rate r of
 turning about the vertical; dw_ie = Omega (de_x, de_y, 0): the Earth's axis; dw_ea = up x
 dv / R. The integrals of f and of C over the epoch are known, so that the transition has a
-closed form; what it leaves out is below 2e-3 of each block. docs/odo.md derives it.
+closed form. Left out are phi by nabla, the difference of the two radii in dw_ea (0.7 %), v x
+dw_ea, and 2e-3 or less of the other blocks. docs/odo.md derives it.
 """
 
 from __future__ import annotations
@@ -107,9 +108,9 @@ class ErrorModel:
     ) -> Array:
         """(3, EXTENDED) what phi's growth within the epoch does to a displacement.
 
-        A displacement is turned by the phi of its time, and less than by that of the end: by
-        - int (phi(t) - phi(T)) x (dD - dC l), of a displacement D that is the path. l_b : (3,)
-        lever arm [m]
+        A displacement is turned by the phi of its time and not by that of the end, which H
+        takes: int (phi(T) - phi(t)) x dD, of a displacement D that is the path; and the lever
+        arm l_b (3,) [m] by phi(T) at the end and phi(0) at the start.
         """
         T, C = epoch.duration_s, course.C_start
         CB, CBB = C @ epoch.B, C @ epoch.BB

@@ -80,13 +80,19 @@ class WanderNavigation:
         north = SECOND_ECCENTRICITY_SQUARED * (ex * x + ey * y)
         return np.array([-(y + north * ey), x + north * ex, 0.0]) / (transverse + self.altitude)
 
+    def rate(self) -> Array:
+        """(3,) w_ia now, in a [rad/s]."""
+        transverse = radii_of_curvature(self.latitude)[1]
+        return EARTH_RATE * self.e_a + self.transport_rate(self.v_a, transverse)
+
     def advance(self, epoch: AidedEpoch) -> Course:
         """Carry attitude and velocity to the end of the epoch.
 
         dC_ab/dt = C_ab [w_ib x] - [w_ia x] C_ab
         dv/dt = C_ab f - (2 w_ie + w_ea) x v + g                        Groves (5.28), (5.29)
 
-        with the frame's own rate to first order over the epoch: what is left out is 5 ng.
+        with the frame's own rate to first order over the epoch, and constant: what is left out is
+        0.1 ug in a manoeuvre, and averages out.
         """
         T = epoch.duration_s
         C = self.C_ab

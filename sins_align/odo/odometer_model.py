@@ -47,9 +47,9 @@ QUANTUM_SHARE = 0.35
 # A vehicle that stands: how far wind and people move it, and the rest of the noise [m].
 STANDING_SIGMA = 1e-3
 STANDING_NOISE = 3e-4
-# By how much of its surprise the noise grows in an epoch, and the largest surprise.
-EXCESS_SHARE = 0.1
-EXCESS_LIMIT = 9.0
+# Growth of the declared noise: chi-square of one degree of freedom, 90 %.
+GROWTH_LIMIT = 2.7
+GROWTH_UP, GROWTH_DOWN, GROWTH_MOST = 1.6, 0.9, 1e6
 # Epochs come in few lengths; irregular stamps must not fill the memory.
 KEPT_DURATIONS = 32
 AT_REST = Travel(np.zeros((3, 3)), np.zeros((3, 3)), 0.0, 0.0, 0.0, 0.0)
@@ -84,7 +84,7 @@ class OdometerModel:
         self.C_bm = dcm_from_rpy(*config.mounting_rpy.tolist())
         self.x = np.zeros(COUNT)
         self.x[LEVER] = config.lever_arm
-        self._excess = np.zeros(3)  # variance beyond the declared noise, in m [m^2]
+        self._growth = np.ones(3)  # of the declared variance, along the axes of m
         self._kept: dict[float, tuple[Array, Array]] = {}
         self.quantum = config.quantum if config.quantum is not None else 0.0
 
@@ -172,32 +172,36 @@ class OdometerModel:
         H[:, GRADIENT] = sideways * acceleration
         arm = moved @ x[LEVER] - D
         mean = C @ epoch.B @ (self.C_bm / T)
-        R = (mean * self._variance(travel, standing)) @ mean.T
+        R = (mean * self._variance(travel, T, standing)) @ mean.T
         return Displacement(path + arm, arm, H, R)
 
-    def _variance(self, travel: Travel, standing: bool) -> Array:
+    def _variance(self, travel: Travel, duration: float, standing: bool) -> Array:
         """(3,) white noise of the displacement, in m [m^2]."""
         if standing:
             return np.full(3, STANDING_NOISE**2)
-        sigma = self._config.noise + self._config.noise_per_m * abs(travel.distance)
-        variance = sigma * sigma + self._excess
+        # Declared for a second: white, it grows with the root of the time.
+        config, speed = self._config, abs(travel.distance) / duration
+        sigma = config.noise + config.noise_per_m * speed
+        variance = self._growth * (sigma * sigma * duration)
         variance[0] += travel.variance
         return variance
 
     def adapt(self, axes: Array, innovation: Array, S: Array) -> None:
         """Let the noise grow where innovations are larger than their covariance says.
 
-        Along each axis of m the excess follows the mean of innovation^2 - S, but is not
-        negative: an odometer worse than declared must not make sigma lie. Outliers count for
-        no more than three sigma.
+        Where one along an axis of m exceeds the square that one in ten should, the declared
+        variance is multiplied by 1.6; where not, by 0.9 down to what is declared. So one in
+        five is let exceed it. An odometer worse than declared must not make sigma lie; how
+        large an outlier is does not matter.
 
         Parameters
         ----------
         axes : (3, 3) C_am; innovation : (3,) [m]; S : (3, 3) its covariance [m^2]
         """
-        expected = np.einsum("ij,ik,kj->j", axes, S, axes)
-        found = np.minimum((innovation @ axes) ** 2, EXCESS_LIMIT * expected)
-        self._excess = np.maximum(self._excess + EXCESS_SHARE * (found - expected), 0.0)
+        square = (innovation @ axes) ** 2
+        exceeds = square > GROWTH_LIMIT * ((S @ axes) * axes).sum(axis=0)
+        growth = self._growth * np.where(exceeds, GROWTH_UP, GROWTH_DOWN)
+        self._growth = np.minimum(np.maximum(growth, 1.0), GROWTH_MOST)
 
     def _accelerations(self, epoch: AidedEpoch, travel: Travel) -> Array:
         """(2,) lateral (left) and forward acceleration of the vehicle, means [m/s^2]."""
@@ -207,9 +211,9 @@ class OdometerModel:
         forward = (travel.speed_end - travel.speed_start) / T
         return np.array([turned * travel.distance / (T * T), forward])
 
-    def estimate(self, covariance: Array) -> OdometerEstimate:
-        """In the terms of the interface, with the covariance (COUNT, COUNT) of the errors."""
-        x, sigma = self.x, np.sqrt(covariance.diagonal())
+    def estimate(self, error: Array, covariance: Array) -> OdometerEstimate:
+        """In the terms of the interface, given mean (COUNT,) and covariance of the errors."""
+        x, sigma = self.x - error, np.sqrt(covariance.diagonal())
         # Turning by -pitch about y lifts the tangent, by yaw about z it moves it to the left.
         tangents = self.C_bm @ np.array([[0.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
         C_bm = exp_rotation(tangents @ x[MOUNTING]) @ self.C_bm

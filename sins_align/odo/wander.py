@@ -37,12 +37,13 @@ from sins_align.odo.odometer_model import POSITION as ODO_POSITION
 from sins_align.odo.odometer_model import SCALE, OdometerModel
 from sins_align.odo.standing import Standing
 from sins_align.rotation import exp_rotation, skew3, unskew3
-from sins_align.types import Array
+from sins_align.types import Array, OdometerEstimate
 
 # Sum of the variances of sin and cos from which on their circle is imposed: earlier it
 # costs 14 deg for good, as it is a curve and not a line.
 HAND_OVER_VARIANCE = 1e-5
 LEAST_COS_LATITUDE = 1e-6
+MEAN_RADIUS = 6.38e6  # [m], for what is carried on over a few seconds
 CONSISTENCY_MEMORY = 0.95  # per epoch
 MOST_INCONSISTENT = 20.0  # of one epoch
 # The navigation's path in an epoch of standing: how far it may be from nothing.
@@ -57,14 +58,21 @@ _SCALE = ODOMETER.start + SCALE
 POSITION = slice(ODOMETER.start + ODO_POSITION.start, ODOMETER.start + ODO_POSITION.stop)
 
 
-class Attitude(NamedTuple):
-    """Attitude in ENU.
+class Knowledge(NamedTuple):
+    """What the filter knows, the length of the Earth's axis taken into account.
 
-    C_nb : (3, 3); covariance : (3, 3) of phi, axes east, north, up [rad^2]
+    C_nb : (3, 3) attitude in ENU; covariance : (3, 3) of phi, axes east, north, up [rad^2]
+    gyro_bias, accel_bias : (3,) with their 1 sigma [rad/s], [m/s^2]; the sigma of the
+        accelerometers' contains the scale errors that on a vehicle look like biases
     """
 
     C_nb: Array
     covariance: Array
+    gyro_bias: Array
+    gyro_bias_sigma: Array
+    accel_bias: Array
+    accel_bias_sigma: Array
+    odometer: OdometerEstimate
 
 
 class WanderFilter:
@@ -106,17 +114,26 @@ class WanderFilter:
         else:
             variance[AZIMUTH] = azimuth_sigma**2, 0.0
         variance[GYRO_BIAS], variance[GYRO_TURN] = gyro_variances(grade, up_b)
-        variance[ACCEL_BIAS] = accel_variance(grade, up_b)
+        self._accel_prior = accel_variance(grade, up_b)
+        self._accel_triad = self._accel_prior - grade.accel_bias**2
+        variance[ACCEL_BIAS] = self._accel_prior
         variance[ODOMETER] = odometer.prior_variance()
         self.P = np.diag(variance)
 
     @property
     def _cos_latitude(self) -> float:
-        return max(math.sqrt(1.0 - float(self.navigation.e_a[2]) ** 2), LEAST_COS_LATITUDE)
+        # At a pole, rounding carries the vertical part beyond 1.
+        square = max(1.0 - float(self.navigation.e_a[2]) ** 2, 0.0)
+        return max(math.sqrt(square), LEAST_COS_LATITUDE)
+
+    @property
+    def is_fine(self) -> bool:
+        """Whether the azimuth is known as well as the small-angle model needs it."""
+        return self.one_azimuth and bool(self.P[6, 6] < HAND_OVER_VARIANCE)
 
     def bias(self, w_ib_b: Array) -> Array:
         """(6,) what is to be taken off the samples of an epoch with the rates w_ib_b (3, n+1)."""
-        mean = w_ib_b.sum(axis=1) / w_ib_b.shape[1]
+        mean = w_ib_b[:, 1:].sum(axis=1) / (w_ib_b.shape[1] - 1)
         rate = float(self.navigation.C_ab[2] @ mean)
         return np.concatenate((self.gyro_bias + rate * self.gyro_turn, self.accel_bias))
 
@@ -189,6 +206,8 @@ class WanderFilter:
             S = H @ PH
             inverse = inverse3(S + R)
         nis = float(innovation @ inverse @ innovation)
+        if not math.isfinite(nis):
+            raise np.linalg.LinAlgError("the filter broke down")
         self._note(nis)
         if nis > SOFT_LIMIT:
             inverse = inverse3(soften(S, R, innovation, nis))
@@ -258,34 +277,60 @@ class WanderFilter:
         mean = gain @ (self.navigation.e_a[:2] - azimuth.e_h)
         return mean, gain @ azimuth.tangent, self.P - gain @ self.P[AZIMUTH, :]
 
-    def _hand_over(self) -> None:
-        """Go on with one azimuth state; the attitude given out does not change by it."""
-        azimuth = self.azimuth()
+    def _with_one_azimuth(self, azimuth: Azimuth) -> tuple[Array, Array]:
+        """The errors' mean (SIZE,) and covariance (SIZE, SIZE) in the small-angle model."""
+        if self.one_azimuth:
+            return np.zeros(SIZE), self.P
         mean, column, rest = self._conditioned(azimuth)
-        self.one_azimuth = True
         mean[AZIMUTH] = 0.0
-        self.navigation.e_a[:2] = azimuth.e_h
-        self._correct(mean)
         column[AZIMUTH] = 1.0, 0.0
         rest[AZIMUTH, :] = rest[:, AZIMUTH] = 0.0
-        self.P = rest + azimuth.sigma**2 * np.outer(column, column)
+        return mean, rest + azimuth.sigma**2 * np.outer(column, column)
 
-    def attitude(self) -> Attitude:
-        """C_nb = Rz(alpha) C_ab at the end of the last epoch.
+    def _hand_over(self) -> None:
+        """Go on with one azimuth state; nothing that is given out changes by it."""
+        azimuth = self.azimuth()
+        mean, self.P = self._with_one_azimuth(azimuth)
+        self.one_azimuth = True
+        self.navigation.e_a[:2] = azimuth.e_h
+        self._correct(mean)
+
+    def knowledge(self) -> Knowledge:
+        """At the end of the last epoch. C_nb = Rz(alpha) C_ab.
 
         phi_n = Rz(alpha) phi - up dalpha: an azimuth too large turns counter-clockwise.
         """
         azimuth = self.azimuth()
+        mean, P = self._with_one_azimuth(azimuth)
         s, c = math.sin(azimuth.alpha), math.cos(azimuth.alpha)
         C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        if self.one_azimuth:
-            J = np.zeros((3, 7))
-            J[:, PHI] = C_na
-            J[2, 6] = -1.0
-            return Attitude(C_na @ self.navigation.C_ab, J @ self.P[:7, :7] @ J.T)
-        mean, column, rest = self._conditioned(azimuth)
-        C_ab = exp_rotation(mean[PHI]) @ self.navigation.C_ab
-        turn = C_na @ column[PHI]
-        turn[2] -= 1.0
-        covariance = C_na @ rest[PHI, PHI] @ C_na.T + azimuth.sigma**2 * np.outer(turn, turn)
-        return Attitude(C_na @ C_ab, 0.5 * (covariance + covariance.T))
+        J = np.zeros((3, 7))
+        J[:, PHI] = C_na
+        J[2, AZIMUTH.start] = -1.0
+        variance = P.diagonal()
+        accel = variance[ACCEL_BIAS]
+        resolved = 1.0 - 2.0 * accel / self._accel_prior
+        return Knowledge(
+            C_nb=C_na @ exp_rotation(mean[PHI]) @ self.navigation.C_ab,
+            covariance=J @ P[:7, :7] @ J.T,
+            gyro_bias=self.gyro_bias + mean[GYRO_BIAS],
+            gyro_bias_sigma=np.sqrt(variance[GYRO_BIAS]),
+            accel_bias=self.accel_bias + mean[ACCEL_BIAS],
+            accel_bias_sigma=np.sqrt(accel + resolved * self._accel_triad),
+            odometer=self.odometer.estimate(mean[ODOMETER], P[ODOMETER, ODOMETER]),
+        )
+
+    def carry(self, C_nb: Array, turned: Array, ahead_s: float) -> Array:
+        """C_nb some time after the last epoch [s]; turned : (3, 3) of b there to b then, as
+        the gyros say.
+
+        The biases, and the turning of ENU with the Earth and over it, are small angles.
+        """
+        navigation = self.navigation
+        C_na = C_nb @ navigation.C_ab.T
+        about_up = float(navigation.C_ab[2] @ unskew3(turned))
+        drift = self.gyro_bias * ahead_s + self.gyro_turn * about_up
+        w_in = C_na @ navigation.rate()
+        east = float(C_na[0] @ navigation.v_a)
+        w_in[2] += east * float(navigation.e_a[2]) / (self._cos_latitude * MEAN_RADIUS)
+        return exp_rotation(-ahead_s * w_in) @ C_nb @ turned @ exp_rotation(-drift)
