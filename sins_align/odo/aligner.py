@@ -10,6 +10,7 @@ from sins_align.config import OdoConfig
 from sins_align.increments import integrate_rotation
 from sins_align.limits import heading_limit
 from sins_align.odo.epoch import integrate_epoch
+from sins_align.odo.knowledge import carry_attitude, knowledge_of
 from sins_align.odo.odometer_model import LATENCY
 from sins_align.odo.pairing import EPOCH_S, Paired, Pairing
 from sins_align.odo.standing import StandingDetector
@@ -131,7 +132,7 @@ class OdoAligner:
         filter_ = self._filter
         if filter_ is None:
             return None
-        knowledge = filter_.knowledge()
+        knowledge = knowledge_of(filter_)
         C_nb, covariance = knowledge.C_nb, knowledge.covariance
         if not covariance[2, 2] < PUBLISH_SIGMA**2:
             return None
@@ -160,4 +161,5 @@ class OdoAligner:
                 self._turned = integrate_rotation(waiting, sampling)
             q, begin_ns = multiply_quaternions(self._turned, q), int(waiting.stamp_ns[0])
         ahead_s = int(block.stamp_ns[-1] - begin_ns) * 1e-9
-        return filter_.carry(C_nb, dcm_from_quaternion(q / np.linalg.norm(q)), ahead_s), ahead_s
+        turned = dcm_from_quaternion(q / np.linalg.norm(q))
+        return carry_attitude(filter_, C_nb, turned, ahead_s), ahead_s

@@ -14,6 +14,7 @@ from sins_align.types import Array
 # These stand for sensors that claim to have no noise.
 LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
 LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
+LEAST_ACCEL_BIAS = 1e-8  # [m/s^2]
 
 
 def imu_noise(grade: ImuGrade) -> ImuNoise:
@@ -37,7 +38,7 @@ def gyro_variances(grade: ImuGrade, up_b: Array) -> tuple[Array, Array]:
 def accel_variance(grade: ImuGrade, up_b: Array) -> Array:
     """(3,) of bias and, as gravity is nearly all there is, scale errors and misalignments."""
     triad = _triad_variance(grade.accel_scale, grade.misalignment, up_b)
-    return grade.accel_bias**2 + GRAVITY_EQUATOR**2 * triad
+    return np.maximum(grade.accel_bias**2 + GRAVITY_EQUATOR**2 * triad, LEAST_ACCEL_BIAS**2)
 
 
 def _triad_variance(scale: float, misalignment: float, up_b: Array) -> Array:

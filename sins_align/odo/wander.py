@@ -10,7 +10,6 @@ components, which is cos L, is then imposed for good. Zhao and Qi; docs/odo.md.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -37,13 +36,12 @@ from sins_align.odo.odometer_model import POSITION as ODO_POSITION
 from sins_align.odo.odometer_model import SCALE, OdometerModel
 from sins_align.odo.standing import Standing
 from sins_align.rotation import exp_rotation, skew3, unskew3
-from sins_align.types import Array, OdometerEstimate
+from sins_align.types import Array
 
 # Sum of the variances of sin and cos from which on their circle is imposed: earlier it
 # costs 14 deg for good, as it is a curve and not a line.
 HAND_OVER_VARIANCE = 1e-5
 LEAST_COS_LATITUDE = 1e-6
-MEAN_RADIUS = 6.38e6  # [m], for what is carried on over a few seconds
 CONSISTENCY_MEMORY = 0.95  # per epoch
 MOST_INCONSISTENT = 20.0  # of one epoch
 # The navigation's path in an epoch of standing: how far it may be from nothing.
@@ -58,23 +56,6 @@ _SCALE = ODOMETER.start + SCALE
 POSITION = slice(ODOMETER.start + ODO_POSITION.start, ODOMETER.start + ODO_POSITION.stop)
 
 
-class Knowledge(NamedTuple):
-    """What the filter knows, the length of the Earth's axis taken into account.
-
-    C_nb : (3, 3) attitude in ENU; covariance : (3, 3) of phi, axes east, north, up [rad^2]
-    gyro_bias, accel_bias : (3,) with their 1 sigma [rad/s], [m/s^2]; the sigma of the
-        accelerometers' contains the scale errors that on a vehicle look like biases
-    """
-
-    C_nb: Array
-    covariance: Array
-    gyro_bias: Array
-    gyro_bias_sigma: Array
-    accel_bias: Array
-    accel_bias_sigma: Array
-    odometer: OdometerEstimate
-
-
 class WanderFilter:
     """The state of a wander-azimuth filter, from the start of an epoch on.
 
@@ -82,6 +63,8 @@ class WanderFilter:
     gyro_bias, accel_bias, gyro_turn : (3,) estimated [rad/s], [m/s^2], [1]
     one_azimuth : whether the azimuth is one state (small-angle model) or two
     consistency : mean normalised innovation squared over its expectation, of late
+    accel_prior, accel_triad : (3,) prior variance of the accelerometers' biases, and what of it
+        are scale errors and misalignments [m^2/s^4]
 
     Parameters
     ----------
@@ -110,18 +93,19 @@ class WanderFilter:
         variance[0:2] = level_sigma**2
         variance[VELOCITY] = velocity_sigma**2
         if azimuth_sigma is None:
-            variance[AZIMUTH] = 0.5 * self._cos_latitude**2
+            variance[AZIMUTH] = 0.5 * self.cos_latitude**2
         else:
             variance[AZIMUTH] = azimuth_sigma**2, 0.0
         variance[GYRO_BIAS], variance[GYRO_TURN] = gyro_variances(grade, up_b)
-        self._accel_prior = accel_variance(grade, up_b)
-        self._accel_triad = self._accel_prior - grade.accel_bias**2
-        variance[ACCEL_BIAS] = self._accel_prior
+        self.accel_prior = accel_variance(grade, up_b)
+        self.accel_triad = self.accel_prior - grade.accel_bias**2
+        variance[ACCEL_BIAS] = self.accel_prior
         variance[ODOMETER] = odometer.prior_variance()
         self.P = np.diag(variance)
 
     @property
-    def _cos_latitude(self) -> float:
+    def cos_latitude(self) -> float:
+        """Of the place that the Earth's axis tells."""
         # At a pole, rounding carries the vertical part beyond 1.
         square = max(1.0 - float(self.navigation.e_a[2]) ** 2, 0.0)
         return max(math.sqrt(square), LEAST_COS_LATITUDE)
@@ -246,7 +230,7 @@ class WanderFilter:
         self.odometer.x = self.odometer.x - dx[ODOMETER]
         if not self.one_azimuth:
             variance = float(self.P[6, 6] + self.P[7, 7])
-            if variance < HAND_OVER_VARIANCE * self._cos_latitude**2:
+            if variance < HAND_OVER_VARIANCE * self.cos_latitude**2:
                 self._hand_over()
 
     def _azimuth_basis(self) -> Array:
@@ -263,7 +247,7 @@ class WanderFilter:
             sigma = math.sqrt(max(float(self.P[6, 6]), 0.0))
             alpha = math.atan2(e[0], e[1])
             return Azimuth(alpha, sigma, e[:2].copy(), np.array([e[1], -e[0]]))
-        return find_azimuth(e[:2], self.P[AZIMUTH, AZIMUTH], self._cos_latitude)
+        return find_azimuth(e[:2], self.P[AZIMUTH, AZIMUTH], self.cos_latitude)
 
     def _conditioned(self, azimuth: Azimuth) -> tuple[Array, Array, Array]:
         """The errors of two azimuth states once the azimuth is on its circle.
@@ -277,7 +261,7 @@ class WanderFilter:
         mean = gain @ (self.navigation.e_a[:2] - azimuth.e_h)
         return mean, gain @ azimuth.tangent, self.P - gain @ self.P[AZIMUTH, :]
 
-    def _with_one_azimuth(self, azimuth: Azimuth) -> tuple[Array, Array]:
+    def with_one_azimuth(self, azimuth: Azimuth) -> tuple[Array, Array]:
         """The errors' mean (SIZE,) and covariance (SIZE, SIZE) in the small-angle model."""
         if self.one_azimuth:
             return np.zeros(SIZE), self.P
@@ -290,47 +274,7 @@ class WanderFilter:
     def _hand_over(self) -> None:
         """Go on with one azimuth state; nothing that is given out changes by it."""
         azimuth = self.azimuth()
-        mean, self.P = self._with_one_azimuth(azimuth)
+        mean, self.P = self.with_one_azimuth(azimuth)
         self.one_azimuth = True
         self.navigation.e_a[:2] = azimuth.e_h
         self._correct(mean)
-
-    def knowledge(self) -> Knowledge:
-        """At the end of the last epoch. C_nb = Rz(alpha) C_ab.
-
-        phi_n = Rz(alpha) phi - up dalpha: an azimuth too large turns counter-clockwise.
-        """
-        azimuth = self.azimuth()
-        mean, P = self._with_one_azimuth(azimuth)
-        s, c = math.sin(azimuth.alpha), math.cos(azimuth.alpha)
-        C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        J = np.zeros((3, 7))
-        J[:, PHI] = C_na
-        J[2, AZIMUTH.start] = -1.0
-        variance = P.diagonal()
-        accel = variance[ACCEL_BIAS]
-        resolved = 1.0 - 2.0 * accel / self._accel_prior
-        return Knowledge(
-            C_nb=C_na @ exp_rotation(mean[PHI]) @ self.navigation.C_ab,
-            covariance=J @ P[:7, :7] @ J.T,
-            gyro_bias=self.gyro_bias + mean[GYRO_BIAS],
-            gyro_bias_sigma=np.sqrt(variance[GYRO_BIAS]),
-            accel_bias=self.accel_bias + mean[ACCEL_BIAS],
-            accel_bias_sigma=np.sqrt(accel + resolved * self._accel_triad),
-            odometer=self.odometer.estimate(mean[ODOMETER], P[ODOMETER, ODOMETER]),
-        )
-
-    def carry(self, C_nb: Array, turned: Array, ahead_s: float) -> Array:
-        """C_nb some time after the last epoch [s]; turned : (3, 3) of b there to b then, as
-        the gyros say.
-
-        The biases, and the turning of ENU with the Earth and over it, are small angles.
-        """
-        navigation = self.navigation
-        C_na = C_nb @ navigation.C_ab.T
-        about_up = float(navigation.C_ab[2] @ unskew3(turned))
-        drift = self.gyro_bias * ahead_s + self.gyro_turn * about_up
-        w_in = C_na @ navigation.rate()
-        east = float(C_na[0] @ navigation.v_a)
-        w_in[2] += east * float(navigation.e_a[2]) / (self._cos_latitude * MEAN_RADIUS)
-        return exp_rotation(-ahead_s * w_in) @ C_nb @ turned @ exp_rotation(-drift)

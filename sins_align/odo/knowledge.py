@@ -1,0 +1,80 @@
+"""What a filter of `odo_align` gives out: attitude in ENU with its covariance, and the rest."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sins_align.earth import SEMI_MAJOR_AXIS
+from sins_align.odo.layout import ACCEL_BIAS, AZIMUTH, GYRO_BIAS, ODOMETER, PHI
+from sins_align.odo.wander import WanderFilter
+from sins_align.rotation import exp_rotation, unskew3
+from sins_align.types import Array, OdometerEstimate
+
+
+class Knowledge(NamedTuple):
+    """What the filter knows, the length of the Earth's axis taken into account.
+
+    C_nb : (3, 3) attitude in ENU; covariance : (3, 3) of phi, axes east, north, up [rad^2]
+    gyro_bias, accel_bias : (3,) with their 1 sigma [rad/s], [m/s^2]; the sigma of the
+        accelerometers' contains the scale errors that on a vehicle look like biases
+    """
+
+    C_nb: Array
+    covariance: Array
+    gyro_bias: Array
+    gyro_bias_sigma: Array
+    accel_bias: Array
+    accel_bias_sigma: Array
+    odometer: OdometerEstimate
+
+
+def knowledge_of(filter_: WanderFilter) -> Knowledge:
+    """At the end of the last epoch. C_nb = Rz(alpha) C_ab.
+
+    phi_n = Rz(alpha) phi - up dalpha: an azimuth too large turns counter-clockwise.
+    """
+    azimuth = filter_.azimuth()
+    mean, P = filter_.with_one_azimuth(azimuth)
+    s, c = math.sin(azimuth.alpha), math.cos(azimuth.alpha)
+    C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    J = np.zeros((3, 7))
+    J[:, PHI] = C_na
+    J[2, AZIMUTH.start] = -1.0
+    variance = P.diagonal()
+    # Of biases and scale errors the filter knows the sum: what it does not tell apart.
+    accel = variance[ACCEL_BIAS]
+    apart = 1.0 - 2.0 * accel / filter_.accel_prior
+    return Knowledge(
+        C_nb=C_na @ exp_rotation(mean[PHI]) @ filter_.navigation.C_ab,
+        covariance=J @ P[:7, :7] @ J.T,
+        gyro_bias=filter_.gyro_bias + mean[GYRO_BIAS],
+        gyro_bias_sigma=np.sqrt(variance[GYRO_BIAS]),
+        accel_bias=filter_.accel_bias + mean[ACCEL_BIAS],
+        accel_bias_sigma=np.sqrt(accel + apart * filter_.accel_triad),
+        odometer=filter_.odometer.estimate(mean[ODOMETER], P[ODOMETER, ODOMETER]),
+    )
+
+
+def carry_attitude(filter_: WanderFilter, C_nb: Array, turned: Array, ahead_s: float) -> Array:
+    """C_nb some time after the last epoch.
+
+    The biases, and the turning of ENU with the Earth and over it, are small angles.
+
+    Parameters
+    ----------
+    C_nb : (3, 3) at the end of the last epoch
+    turned : (3, 3) of b then to b there, as the gyros say
+    ahead_s : time since [s]
+    """
+    navigation = filter_.navigation
+    C_na = C_nb @ navigation.C_ab.T
+    about_up = float(navigation.C_ab[2] @ unskew3(turned))
+    drift = filter_.gyro_bias * ahead_s + filter_.gyro_turn * about_up
+    w_in = C_na @ navigation.rate()
+    # ENU wanders against a by v_E tan L / R.
+    east = float(C_na[0] @ navigation.v_a)
+    w_in[2] += east * float(navigation.e_a[2]) / (filter_.cos_latitude * SEMI_MAJOR_AXIS)
+    return exp_rotation(-ahead_s * w_in) @ C_nb @ turned @ exp_rotation(-drift)
