@@ -6,12 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import numpy as np
 
 from evidence.checks import Check, upper
 from evidence.monte_carlo import misalignment, rms
 from sins_align.config import OdoConfig, odo_config
+from sins_align.odo import wander
 from sins_align.odo.aligner import OdoAligner
 from sins_align.odo.coarse import CoarseAttitude
 from sins_align.odo.epoch import AidedEpoch
@@ -31,7 +33,8 @@ class Start(NamedTuple):
     """The heading that the filter begins with.
 
     error_deg : of it, clockwise
-    sigma_deg : the paper's extended Kalman filter, with so much uncertainty; None: the linear
+    sigma_deg : the paper's extended Kalman filter, with so much uncertainty, and without the
+        soft weighting, which would take its large innovations for outliers; None: the linear
         filter, for which the heading at the start is a mere choice of axes
     """
 
@@ -177,9 +180,11 @@ def drive(
     config = make_config(options, parameters or {})
     heading = float(simulated.truth.heading_at(int(simulated.imu.stamp_ns[0])))
     session = RecordedSession(config, start, heading)
-    if not config.stationary:
-        session.add_odometer(simulated.odometer)
-    updates = session.add_imu(simulated.imu)
+    plain = start is not None and start.sigma_deg is not None
+    with patch.object(wander, "SOFT_LIMIT", math.inf if plain else wander.SOFT_LIMIT):
+        if not config.stationary:
+            session.add_odometer(simulated.odometer)
+        updates = session.add_imu(simulated.imu)
     return _tabulate(simulated, session, false_claims(updates, config))
 
 

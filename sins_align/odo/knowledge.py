@@ -53,7 +53,7 @@ def knowledge_of(filter_: WanderFilter) -> Knowledge:
         gyro_bias=filter_.gyro_bias + mean[GYRO_BIAS],
         gyro_bias_sigma=np.sqrt(variance[GYRO_BIAS]),
         accel_bias=filter_.accel_bias + mean[ACCEL_BIAS],
-        accel_bias_sigma=np.sqrt(accel + apart * filter_.accel_triad),
+        accel_bias_sigma=np.sqrt(np.maximum(accel + apart * filter_.accel_triad, 0.0)),
         odometer=filter_.odometer.estimate(mean[ODOMETER], P[ODOMETER, ODOMETER]),
     )
 
