@@ -17,8 +17,9 @@ from sins_align.odo import wander
 from sins_align.odo.aligner import OdoAligner
 from sins_align.odo.coarse import CoarseAttitude
 from sins_align.odo.epoch import AidedEpoch
-from sins_align.odo.layout import ODOMETER
+from sins_align.odo.knowledge import knowledge_of
 from sins_align.odo.pairing import Paired
+from sins_align.odo.start import Starter
 from sins_align.odo.wander import WanderFilter
 from sins_align.rotation import exp_rotation, heading_from_yaw, rpy_from_dcm
 from sins_align.session import Session, Update
@@ -53,50 +54,53 @@ class Moment(NamedTuple):
     published: bool
 
 
+class TurnedStarter(Starter):
+    """Starts with the heading that it is told; heading : the true one [rad]."""
+
+    def __init__(self, config: OdoConfig, position: Position, start: Start, heading: float) -> None:
+        super().__init__(config, position)
+        self._start, self._heading = start, heading + start.error_deg * DEG
+
+    def _start_at_begin(self, coarse: CoarseAttitude, first: AidedEpoch) -> WanderFilter:
+        found = heading_from_yaw(rpy_from_dcm(coarse.C_n0b0)[2])
+        turn = np.array([0.0, 0.0, found - self._heading])  # headings are clockwise
+        coarse = coarse._replace(C_n0b0=exp_rotation(turn) @ coarse.C_n0b0)
+        if self._start.sigma_deg is None:
+            return super()._start_at_begin(coarse, first)
+        speed = 0.0 if first.travel is None else first.travel.speed_start
+        variance = (self._start.sigma_deg * DEG) ** 2
+        filter_ = self._make_filter(coarse.C_n0b0, coarse, speed, variance)
+        filter_.navigation.e_a[1] = math.cos(self._position.latitude)
+        return filter_
+
+
 class RecordedAligner(OdoAligner):
-    """Keeps a `Moment` for each epoch; begins with a heading as told, given the true one."""
+    """Keeps a `Moment` for each epoch."""
 
     def __init__(
-        self,
-        config: OdoConfig,
-        position: Position,
-        start: Start | None = None,
-        heading: float = math.nan,
+        self, config: OdoConfig, position: Position, start: Start | None, heading: float
     ) -> None:
         super().__init__(config, position)
         self.moments: list[Moment] = []
-        self._start, self._heading = start, heading
+        if start is not None:
+            self._starter = TurnedStarter(config, position, start, heading)
 
     def _take_in(self, paired: Paired) -> Advance:
         step = super()._take_in(paired)
         filter_ = self._filter
         if filter_ is not None:
-            odometer = filter_.odometer.estimate(filter_.P[ODOMETER, ODOMETER])
+            known = knowledge_of(filter_)
             self.moments.append(
                 Moment(
                     step.stamp_ns,
-                    *filter_.attitude(),
-                    (odometer.scale_error, odometer.scale_sigma),
+                    known.C_nb,
+                    known.covariance,
+                    (known.odometer.scale_error, known.odometer.scale_sigma),
                     filter_.consistency,
                     step.estimate is not None,
                 )
             )
         return step
-
-    def _start_at_begin(self, coarse: CoarseAttitude, first: AidedEpoch) -> WanderFilter:
-        start = self._start
-        if start is None:
-            return super()._start_at_begin(coarse, first)
-        found = heading_from_yaw(rpy_from_dcm(coarse.C_n0b0)[2])
-        turn = self._heading + start.error_deg * DEG - found  # clockwise
-        coarse = coarse._replace(C_n0b0=exp_rotation(np.array([0.0, 0.0, -turn])) @ coarse.C_n0b0)
-        if start.sigma_deg is None:
-            return super()._start_at_begin(coarse, first)
-        speed = 0.0 if first.travel is None else first.travel.speed_start
-        variance = (start.sigma_deg * DEG) ** 2
-        filter_ = self._make_filter(coarse.C_n0b0, coarse, speed, variance)
-        filter_.navigation.e_a[1] = math.cos(self._position.latitude)
-        return filter_
 
 
 class RecordedSession(Session):
