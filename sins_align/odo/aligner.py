@@ -25,12 +25,18 @@ from sins_align.types import Advance, Array, Estimate, ImuBlock, OdometerSamples
 
 # A heading less certain than this is not published.
 PUBLISH_SIGMA = math.radians(3.0)
+# Nor is a first one whose innovations say that sigma is not true.
+PUBLISH_CONSISTENCY = 2.0
 # Once the azimuth is known, nothing is gained by epochs as short as before.
 LONG_EPOCH_S = 2.0
 
 SILENT = "no odometer"
 SILENT_REMEDY = "publish topic odom, or set aiding to stationary if the vehicle stands"
 POLE = "there is no heading at the pole"
+CHECK_REMEDY = "check the odometer, imu_grade, imu_sampling and aiding"
+TURN_REMEDY = "drive turns: standing, the declared gyro bias does not allow it"
+# Nearer to a pole the Earth's rate is vertical, and no gyro of a vehicle finds north.
+LEAST_COS_LATITUDE = 0.02
 UNOBSERVABLE_REMEDY = "this gyro cannot find north here: there is no remedy but a better one"
 
 
@@ -105,7 +111,7 @@ class OdoAligner:
         """Why there is no estimate yet, and what helps."""
         if math.isnan(self._limit):
             return POLE, ""
-        if not self._limit < PUBLISH_SIGMA:
+        if math.cos(self._position.latitude) < LEAST_COS_LATITUDE:
             limit = f"the declared gyro bias allows {math.degrees(self._limit):.0f} deg"
             return f"heading is unobservable at this latitude: {limit}", UNOBSERVABLE_REMEDY
         if self._filter is None:
@@ -113,7 +119,14 @@ class OdoAligner:
             silent = self._starter.silent > 2
             return (SILENT, SILENT_REMEDY) if silent else ("", "")
         sigma = math.degrees(self._filter.azimuth().sigma)
-        return f"heading sigma {sigma:.0f} deg, not below {math.degrees(PUBLISH_SIGMA):.0f}", ""
+        reason = f"heading sigma {sigma:.0f} deg, not below {math.degrees(PUBLISH_SIGMA):.0f}"
+        if self._filter.consistency > PUBLISH_CONSISTENCY:
+            ratio = self._filter.consistency
+            return (
+                f"{reason}; the innovations are {ratio:.1f} times what they should be",
+                CHECK_REMEDY,
+            )
+        return reason, "" if self._limit < PUBLISH_SIGMA else TURN_REMEDY
 
     @property
     def estimate(self) -> Estimate | None:
@@ -122,7 +135,7 @@ class OdoAligner:
 
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside."""
-        return None if self._filter is None else self._estimate_at(int(block.stamp_ns[-1]), block)
+        return None if self._estimate is None else self._estimate_at(int(block.stamp_ns[-1]), block)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """As `propagate`: all that has come is in the estimate already."""
@@ -135,6 +148,8 @@ class OdoAligner:
         knowledge = knowledge_of(filter_)
         C_nb, covariance = knowledge.C_nb, knowledge.covariance
         if not covariance[2, 2] < PUBLISH_SIGMA**2:
+            return None
+        if self._estimate is None and filter_.consistency > PUBLISH_CONSISTENCY:
             return None
         if block is not None:
             C_nb, ahead_s = self._carry(filter_, C_nb, block)

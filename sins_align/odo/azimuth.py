@@ -1,8 +1,8 @@
 """From the horizontal part of the Earth's axis to the azimuth.
 
 e_h = cos L (sin alpha, cos alpha) is known with a Gaussian error; that its length is cos L
-is known too. While the error is large the azimuth's density on the circle is summed up on a
-grid; when it is small, Newton's method finds its maximum.
+is known too. The azimuth's density on the circle is summed up on a grid; where it is narrow,
+Newton's method finds its maximum from there.
 """
 
 from __future__ import annotations
@@ -14,42 +14,61 @@ import numpy as np
 
 from sins_align.types import Array
 
-# Up to this variance of (sin, cos) the density is as good as Gaussian on the circle.
-SMALL_VARIANCE = 0.02
 FINE_SIGMA = 0.1  # [rad]
+NEWTON_STEPS = 8
+MOST_OFF = 4.0  # of the normalised square off the circle
 FAR = 0.5  # [rad], beyond it another maximum
 _GRID = np.arange(180) * (math.tau / 180)
 _UNIT = np.stack((np.sin(_GRID), np.cos(_GRID)))
 
 
 class Azimuth(NamedTuple):
-    """alpha [rad] and its 1 sigma [rad]; e_h : (2,) on the circle; tangent : (2,) de_h/dalpha."""
+    """The azimuth, and how well the estimate fits the circle.
+
+    alpha [rad] and its 1 sigma [rad]; e_h : (2,) on the circle; tangent : (2,) de_h/dalpha
+    excess : factor on all covariances, 1 where the estimate is on the circle as it should be
+    """
 
     alpha: float
     sigma: float
     e_h: Array
     tangent: Array
+    excess: float = 1.0
 
 
-def find_azimuth(e_h: Array, P: Array, cos_latitude: float) -> Azimuth:
+def find_azimuth(e_h: Array, P: Array, cos_latitude: float, least: float = 1.0) -> Azimuth:
     """The azimuth given the length of e_h.
+
+    That e_h is off the circle by more than its error should be is a test of the covariance
+    that costs nothing: chi-square with one degree of freedom. Beyond two sigma the covariance
+    is taken as so much larger.
 
     Parameters
     ----------
     e_h : (2,) estimated horizontal part; P : (2, 2) its covariance
     cos_latitude : its length, above zero
+    least : excess at the least
     """
     information = np.linalg.inv(P) * cos_latitude**2
     mean = e_h / cos_latitude
-    if P[0, 0] + P[1, 1] > SMALL_VARIANCE * cos_latitude**2:
-        alpha, sigma, aside = _on_grid(mean, information)
-        if sigma < FINE_SIGMA:  # too narrow for the grid, however long the error's axis
-            alpha, sigma = _newton(mean, information, alpha)
-            sigma = math.hypot(sigma, aside)
-    else:
-        alpha, sigma = _newton(mean, information, math.atan2(mean[0], mean[1]))
+    alpha, sigma = _search(mean, information)
+    off = np.array([math.sin(alpha), math.cos(alpha)]) - mean
+    square = float(off @ information @ off)
+    excess = max(square if square > MOST_OFF else 1.0, least)
+    if excess > 1.0:
+        alpha, sigma = _search(mean, information / excess)
     s, c = math.sin(alpha), math.cos(alpha)
-    return Azimuth(alpha, sigma, cos_latitude * np.array([s, c]), cos_latitude * np.array([c, -s]))
+    point, tangent = np.array([s, c]), np.array([c, -s])
+    return Azimuth(alpha, sigma, cos_latitude * point, cos_latitude * tangent, excess)
+
+
+def _search(mean: Array, information: Array) -> tuple[float, float]:
+    """Azimuth and sigma: on the grid, and where that is too coarse, by Newton from there."""
+    alpha, sigma, aside = _on_grid(mean, information)
+    if sigma < FINE_SIGMA:
+        alpha, sigma = _newton(mean, information, alpha)
+        sigma = math.hypot(sigma, aside)
+    return alpha, sigma
 
 
 def _on_grid(mean: Array, information: Array) -> tuple[float, float, float]:
@@ -70,7 +89,7 @@ def _newton(mean: Array, information: Array, alpha: float) -> tuple[float, float
     (a, b), (_, d) = information.tolist()
     x, y = mean.tolist()
     curvature = 1.0
-    for _ in range(3):
+    for _ in range(NEWTON_STEPS):
         s, c = math.sin(alpha), math.cos(alpha)
         # Gradient of the half square J(u - m), u' = (c, -s), u'' = -u.
         rx, ry = a * (s - x) + b * (c - y), b * (s - x) + d * (c - y)

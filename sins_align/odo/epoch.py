@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from sins_align.odo.pairing import Paired
 
 from sins_align.increments import integrate_window
-from sins_align.types import Array, ImuSampling
+from sins_align.types import Array, ImuSampling, IntArray
 
 
 class Travel(NamedTuple):
@@ -44,6 +44,7 @@ class AidedEpoch(NamedTuple):
     unrest : root of the summed variances of the axes, of rate and of specific force in the
         epoch [rad/s], [m/s^2]
     travel : None where there is no odometer for all of the epoch
+    gap_s : longest time without a sample, beyond the usual interval
     """
 
     stamp_ns: int
@@ -57,6 +58,7 @@ class AidedEpoch(NamedTuple):
     interval_s: float
     unrest: tuple[float, float]
     travel: Travel | None
+    gap_s: float = 0.0
 
 
 def integrate_epoch(paired: Paired, sampling: ImuSampling, bias: Array | None = None) -> AidedEpoch:
@@ -92,6 +94,7 @@ def integrate_epoch(paired: Paired, sampling: ImuSampling, bias: Array | None = 
         interval_s=window.duration_s / n,
         unrest=(_spread(sums[:3], squares[:3], n), _spread(sums[3:], squares[3:], n)),
         travel=travel,
+        gap_s=_longest_gap(block.stamp_ns),
     )
 
 
@@ -99,3 +102,12 @@ def _spread(sums: list[float], squares: list[float], n: int) -> float:
     """Root of the summed variances of the axes, from their sums and sums of squares."""
     variance = sum(q / n - (x / n) ** 2 for x, q in zip(sums, squares, strict=True))
     return math.sqrt(max(variance, 0.0))
+
+
+def _longest_gap(stamp_ns: IntArray) -> float:
+    steps = stamp_ns[1:] - stamp_ns[:-1]
+    longest = int(steps.max())
+    if 2 * longest < 3 * int(steps.min()):
+        return 0.0
+    missing = longest - int(np.median(steps))
+    return missing * 1e-9 if 3 * missing >= longest else 0.0

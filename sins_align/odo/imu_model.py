@@ -8,12 +8,17 @@ import numpy as np
 
 from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
+from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ImuNoise
+from sins_align.odo.layout import PHI, SIZE, VELOCITY
 from sins_align.types import Array
 
 # These stand for sensors that claim to have no noise.
 LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
 LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
+# A gap of this length hides the motion of a vehicle on its suspension.
+GAP_S = 0.1  # [s]
+GAP_MOST = 5.0
 LEAST_ACCEL_BIAS = 1e-8  # [m/s^2]
 
 
@@ -39,6 +44,20 @@ def accel_variance(grade: ImuGrade, up_b: Array) -> Array:
     """(3,) of bias and, as gravity is nearly all there is, scale errors and misalignments."""
     triad = _triad_variance(grade.accel_scale, grade.misalignment, up_b)
     return np.maximum(grade.accel_bias**2 + GRAVITY_EQUATOR**2 * triad, LEAST_ACCEL_BIAS**2)
+
+
+def gap_noise(epoch: AidedEpoch) -> Array:
+    """(SIZE, SIZE) covariance of what happened while samples were missing.
+
+    Interpolation knows all of a motion that is slow against the gap, and nothing of one that
+    is quick: the unrest of the epoch stands for it.
+    """
+    blind = epoch.gap_s * min(GAP_MOST, (epoch.gap_s / GAP_S) ** 2)
+    rate, force = epoch.unrest
+    variance = np.zeros(SIZE)
+    variance[PHI] = (blind * rate) ** 2
+    variance[VELOCITY] = (blind * force) ** 2
+    return np.diag(variance)
 
 
 def _triad_variance(scale: float, misalignment: float, up_b: Array) -> Array:

@@ -17,8 +17,8 @@ from sins_align.types import Array, Position
 START_EPOCHS = 3
 # More are not kept: what came before a long silence is not waited for.
 MOST_EPOCHS = 30
-# `wander_ekf` starts with an azimuth known so well.
-EKF_SIGMA = math.radians(10.0)
+# `wander_ekf` starts with an azimuth known so well: from 10 deg on it is not linear enough.
+EKF_SIGMA = math.radians(3.0)
 # Least sigma of the levels at the start [rad]: they come of epochs that the filter takes in
 # again. Sigma of the velocity: absolute [m/s], and relative.
 LEVEL_SIGMA = 0.01

@@ -18,7 +18,12 @@ from sins_align.odo.azimuth import Azimuth, find_azimuth
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ErrorModel
 from sins_align.odo.guards import SOFT_LIMIT, ScaleJump, inverse3, soften
-from sins_align.odo.imu_model import accel_variance, gyro_variances, imu_noise
+from sins_align.odo.imu_model import (
+    accel_variance,
+    gap_noise,
+    gyro_variances,
+    imu_noise,
+)
 from sins_align.odo.layout import (
     ACCEL_BIAS,
     AZIMUTH,
@@ -44,6 +49,10 @@ HAND_OVER_VARIANCE = 1e-5
 LEAST_COS_LATITUDE = 1e-6
 CONSISTENCY_MEMORY = 0.95  # per epoch
 MOST_INCONSISTENT = 20.0  # of one epoch
+# Beyond so many squared sigma off the circle, P is not believed; up to there it is only what
+# is given out that is widened, and for some epochs more.
+FAR_OFF = 16.0
+EXCESS_MEMORY = 0.97
 # The navigation's path in an epoch of standing: how far it may be from nothing.
 STANDING_TOLERANCE = 0.01  # [m]
 STANDING_LIMIT = 25.0  # of its normalised square
@@ -86,6 +95,7 @@ class WanderFilter:
         self.gyro_bias, self.accel_bias, self.gyro_turn = np.zeros((3, 3))
         self.one_azimuth = azimuth_sigma is not None
         self.consistency = math.nan
+        self._excess = 1.0  # by how much the azimuth says that P is too small
         self._model = ErrorModel(imu_noise(grade))
         self._jump = ScaleJump()
         up_b = navigation.C_ab[2]
@@ -138,6 +148,8 @@ class WanderFilter:
         A = self._model.transition(epoch, course, basis, rate)
         A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
         A[PATH, POSITION] = -axes_start
+        if epoch.gap_s > 0.0:
+            self.P = self.P + gap_noise(epoch)
         P = A @ self.P @ A.T
         P += self._model.noise(T)
         P[_ODOMETER_INDEX, _ODOMETER_INDEX] += added
@@ -165,7 +177,18 @@ class WanderFilter:
                 odometer.adapt(axes, innovation, S)
         else:
             self.P = P[:SIZE, :SIZE].copy()
+        if not self.one_azimuth:
+            self._look_at_circle()
         return stands
+
+    def _look_at_circle(self) -> None:
+        """Remember an azimuth that is off its circle for a while; far off, start to learn anew."""
+        self._excess = max(1.0, EXCESS_MEMORY * self._excess)
+        excess = self.azimuth().excess
+        if excess > FAR_OFF:
+            self.P *= excess
+            excess = 1.0
+        self._excess = excess
 
     def _may_stand(self, P: Array, path: Array) -> bool:
         """Whether the navigation's path (3,) may be none at all [m]."""
@@ -247,7 +270,7 @@ class WanderFilter:
             sigma = math.sqrt(max(float(self.P[6, 6]), 0.0))
             alpha = math.atan2(e[0], e[1])
             return Azimuth(alpha, sigma, e[:2].copy(), np.array([e[1], -e[0]]))
-        return find_azimuth(e[:2], self.P[AZIMUTH, AZIMUTH], self.cos_latitude)
+        return find_azimuth(e[:2], self.P[AZIMUTH, AZIMUTH], self.cos_latitude, self._excess)
 
     def _conditioned(self, azimuth: Azimuth) -> tuple[Array, Array, Array]:
         """The errors of two azimuth states once the azimuth is on its circle.
@@ -269,7 +292,7 @@ class WanderFilter:
         mean[AZIMUTH] = 0.0
         column[AZIMUTH] = 1.0, 0.0
         rest[AZIMUTH, :] = rest[:, AZIMUTH] = 0.0
-        return mean, rest + azimuth.sigma**2 * np.outer(column, column)
+        return mean, azimuth.excess * rest + azimuth.sigma**2 * np.outer(column, column)
 
     def _hand_over(self) -> None:
         """Go on with one azimuth state; nothing that is given out changes by it."""
