@@ -17,8 +17,8 @@ from sins_align.types import Array
 LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
 LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
 # A gap of this length hides the motion of a vehicle on its suspension.
-GAP_S = 0.1  # [s]
-GAP_MOST = 5.0
+GAP_S = 0.07  # [s]
+GAP_MOST = 10.0
 LEAST_ACCEL_BIAS = 1e-8  # [m/s^2]
 
 

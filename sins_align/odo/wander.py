@@ -49,6 +49,9 @@ HAND_OVER_VARIANCE = 1e-5
 LEAST_COS_LATITUDE = 1e-6
 CONSISTENCY_MEMORY = 0.95  # per epoch
 MOST_INCONSISTENT = 20.0  # of one epoch
+# What happened in a longer gap is no error at the epoch's start, as which it is added: the
+# displacement of that epoch would be misread [s].
+LONG_GAP_S = 0.12
 # Beyond so many squared sigma off the circle, P is not believed; up to there it is only what
 # is given out that is widened, and for some epochs more.
 FAR_OFF = 16.0
@@ -134,8 +137,8 @@ class WanderFilter:
     def process(self, epoch: AidedEpoch, standing: Standing) -> bool:
         """Take in an epoch; the biases must have been taken off its samples.
 
-        With neither travel nor standing the errors grow, and nothing is measured. Returns
-        whether it was taken as one of a vehicle that stands.
+        With neither travel nor standing, or with samples missing for long, the errors grow, and
+        nothing is measured. Returns whether it was taken as one of a vehicle that stands.
         """
         navigation, odometer, T = self.navigation, self.odometer, epoch.duration_s
         C_start = navigation.C_ab
@@ -163,7 +166,7 @@ class WanderFilter:
         P[PATH, POSITION] += position_noise
         P[POSITION, PATH] += position_noise.T
         P[PATH, PATH] += position_noise @ axes.T
-        if stands or epoch.travel is not None:
+        if (stands or epoch.travel is not None) and epoch.gap_s < LONG_GAP_S:
             turn = course.w_ia * T
             seen = odometer.measure(epoch, C_start, navigation.C_ab, course.path, turn, stands)
             H = self._model.within(epoch, course, basis, rate, odometer.x[ODO_LEVER])
