@@ -112,8 +112,8 @@ class RecordedSession(Session):
         self._begin_with = start, heading
         super().__init__(config)
 
-    def _make_aligner(self) -> None:
-        super()._make_aligner()
+    def _make_aligner(self, at_ns: int | None = None) -> None:
+        super()._make_aligner(at_ns)
         if isinstance(self._config, OdoConfig) and self._position is not None:
             aligner = RecordedAligner(self._config, self._position, *self._begin_with)
             aligner.aid(self._odometer_intake.recent())

@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.config import OdoConfig, SwingConfig
+from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.intake import Intake
 from sins_align.limits import heading_limit, level_limit
 from sins_align.odo import make_odo_aligner
 from sins_align.odo.odometer_intake import OdometerIntake
-from sins_align.status import Completer
+from sins_align.status import Completer, Declared
 from sins_align.swing import make_aligner
 from sins_align.types import (
     Advance,
@@ -43,6 +44,8 @@ VEHICLE_REMEDY = "check the odometer, imu_grade, imu_sampling and the latitude"
 GRADE_REMEDY = "check latitude_deg, imu_grade and the IMU's units"
 # 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
 MAX_INTERVAL_S = 0.125
+# How far back an odometer's samples are of use to an alignment that begins [ns].
+KEPT_NS = 5_000_000_000
 # Root mean square over a block [m/s^2]; a swing adds little to gravity.
 LEAST_FORCE, GREATEST_FORCE = 7.0, 14.0
 UNITS_REMEDY = "the IMU has to give specific force in m/s^2, gravity included"
@@ -73,15 +76,16 @@ class Session:
         self._restarts = 0
         self._begin("")
 
-    def _begin(self, reason: str) -> None:
-        self._make_aligner()
+    def _begin(self, reason: str, at_ns: int | None = None) -> None:
+        """Begin anew, with the IMU at `at_ns`; None: where it is."""
+        self._make_aligner(at_ns)
         self._intake = Intake(self._counts)
         self._completer = self._make_completer()
         self._begin_reason = reason
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
 
-    def _make_aligner(self) -> None:
+    def _make_aligner(self, at_ns: int | None = None) -> None:
         self._aligner: Aligner | None = None
         self._aided: AidedAligner | None = None
         if self._position is None:
@@ -90,19 +94,25 @@ class Session:
             self._aligner = make_aligner(self._config, self._position)
             return
         self._aligner = self._aided = make_odo_aligner(self._config, self._position)
-        if self._counts.odom_samples > 0:  # the odometer may be ahead of the IMU
-            self._aided.aid(self._odometer_intake.recent())
+        # The odometer may be ahead of the IMU. From a fixed time on: what comes of it must not
+        # depend on what else is still kept.
+        recent = self._odometer_intake.recent()
+        now_ns = at_ns if at_ns is not None else self._odometer_intake.imu_ns
+        if len(recent) and now_ns is not None:
+            recent = recent.select(recent.stamp_ns >= now_ns - KEPT_NS)
+        if len(recent):
+            self._aided.aid(recent)
 
     def _make_completer(self) -> Completer:
         grade = self._config.grade
         bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
-        still = isinstance(self._config, SwingConfig)
-        return Completer(
-            self._config.completion,
-            level_limit(grade),
-            bias,
-            BASE_REMEDY if still else VEHICLE_REMEDY,
-        )
+        completion, level = self._config.completion, level_limit(grade)
+        if isinstance(self._config, SwingConfig):
+            return Completer(completion, level, Declared(gyro_bias=bias), BASE_REMEDY)
+        triad = GRAVITY_EQUATOR * math.hypot(grade.accel_scale, grade.misalignment)
+        accel = math.hypot(grade.accel_bias, triad)
+        declared = Declared(bias, accel, self._config.odometer.scale_sigma)
+        return Completer(completion, level, declared, VEHICLE_REMEDY)
 
     def _waiting_status(self) -> Status:
         if self._position is None:
@@ -166,8 +176,11 @@ class Session:
 
     def restart(self, reason: str = "restarted on request") -> None:
         """Forget everything but the counts and the position, and start again."""
+        self._restart(reason)
+
+    def _restart(self, reason: str, at_ns: int | None = None) -> None:
         self._restarts += 1
-        self._begin(reason)
+        self._begin(reason, at_ns)
 
     def add_imu(self, samples: ImuSamples) -> list[Update]:
         """Take in samples in the order of their arrival; one update for every block filled.
@@ -184,6 +197,7 @@ class Session:
         while True:
             block = self._intake.next_block()
             if block is not None:
+                self._odometer_intake.imu_ns = int(block.stamp_ns[-1])
                 if self._aligner is not None:
                     updates += self._take_in(block)
                 continue
@@ -191,7 +205,7 @@ class Session:
                 return updates
             # The attitude chain is cut: what the base did meanwhile nobody knows.
             rest = self._intake.take_after_break()
-            self.restart(self._intake.break_reason)
+            self._restart(self._intake.break_reason, int(rest.stamp_ns[0]))
             self._intake.add_usable(rest)
 
     def add_odometer(self, samples: OdometerSamples) -> list[Update]:
@@ -241,7 +255,7 @@ class Session:
     def _fail(self, stamp_ns: int, reason: str, remedy: str) -> list[Update]:
         """The block is of no use; the alignment begins anew with the first one that is."""
         elapsed = self._intake.elapsed_s(stamp_ns)
-        self._make_aligner()
+        self._make_aligner(stamp_ns)
         self._completer = self._make_completer()
         self._status = Status(State.FAILED, reason, remedy, elapsed)
         return [Update(stamp_ns, None, self._status)]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from sins_align.config import Completion
+from sins_align.rotation import dcm_from_quaternion
 from sins_align.types import Advance, Estimate, State, Status
 from sins_align.units import ARCMIN, ARCSEC
 
@@ -19,6 +21,18 @@ MAX_CONSISTENCY = 2.0
 MAX_BIAS_RATIO = 5.0
 
 
+class Declared(NamedTuple):
+    """What is declared of the sensors, 1 sigma; 0: not estimated, or not declared.
+
+    gyro_bias [rad/s], drift included; accel_bias [m/s^2], with the scale errors that gravity
+    turns into one; odometer_scale [1]
+    """
+
+    gyro_bias: float = 0.0
+    accel_bias: float = 0.0
+    odometer_scale: float = 0.0
+
+
 class Completer:
     """Watches sigma against the thresholds; aligned when below for hold_s.
 
@@ -26,7 +40,7 @@ class Completer:
     ----------
     completion : thresholds and time to hold
     level_limit : what the declared accelerometers allow for the levels [rad]
-    gyro_bias_sigma : declared, drift included [rad/s]; 0 where none is estimated
+    declared : estimates far beyond it are not believed
     remedy : what helps where the data are not what the settings say
     """
 
@@ -34,13 +48,13 @@ class Completer:
         self,
         completion: Completion,
         level_limit: float = 0.0,
-        gyro_bias_sigma: float = 0.0,
+        declared: Declared = Declared(),  # noqa: B008 - immutable
         remedy: str = "",
     ) -> None:
         self._completion = completion
         self._level_limit = level_limit
         self._remedy = remedy
-        self._gyro_bias_sigma = gyro_bias_sigma
+        self._declared = declared
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
@@ -96,12 +110,26 @@ class Completer:
                 f"the innovations are {estimate.consistency:.1f} times what they should be"
             )
             remedies.append(self._remedy)
-        bias = max(map(abs, estimate.gyro_bias.tolist()))
-        if self._gyro_bias_sigma > 0.0 and bias > MAX_BIAS_RATIO * self._gyro_bias_sigma:
-            ratio = bias / self._gyro_bias_sigma
-            missing.append(f"the estimated gyro bias is {ratio:.1f} times what is declared")
-            remedies.append(self._remedy)
+        for what, found, declared in self._beyond(estimate):
+            if declared > 0.0 and found > MAX_BIAS_RATIO * declared:
+                ratio = found / declared
+                missing.append(f"the estimated {what} is {ratio:.1f} times what is declared")
+                remedies.append(self._remedy)
         return "; ".join(missing), "; ".join(dict.fromkeys(filter(None, remedies)))
+
+    def _beyond(self, estimate: Estimate) -> list[tuple[str, float, float]]:
+        """Estimates and what is declared of them, 1 sigma."""
+        declared = self._declared
+        found = [("gyro bias", max(map(abs, estimate.gyro_bias.tolist())), declared.gyro_bias)]
+        if declared.accel_bias > 0.0:
+            # Along up, it also stands for a height that is wrong.
+            up = dcm_from_quaternion(estimate.q_nb)[2]
+            level = estimate.accel_bias - (estimate.accel_bias @ up) * up
+            found.append(("accelerometer bias", math.hypot(*level), declared.accel_bias))
+        if estimate.odometer is not None:
+            scale = abs(estimate.odometer.scale_error)
+            found.append(("odometer scale error", scale, declared.odometer_scale))
+        return found
 
     def _heading_remedy(self, limit: float) -> str:
         if math.isnan(limit):

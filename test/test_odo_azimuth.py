@@ -43,7 +43,7 @@ def point(alpha: float, length: float = 1.0) -> Array:
 
 def assert_agrees(found: Azimuth, e_h: Array, P: Array, mean: float, sigma: float) -> None:
     """mean : tolerance of alpha over its sigma; sigma : relative tolerance of that."""
-    alpha, spread = posterior(e_h, P)
+    alpha, spread = posterior(e_h, found.excess * P)
     assert abs(wrapped(np.array(found.alpha - alpha))) < mean * spread
     assert found.sigma == pytest.approx(spread, rel=sigma)
 
@@ -77,8 +77,8 @@ def test_elongated_errors(angle: float, long: float, short: float) -> None:
     """Where the circle crosses the long axis once."""
     alpha = 0.5 * math.pi - angle  # the long axis points there
     e_h, P = point(alpha, 1.05), ellipse(long, short, angle)
-    spread = posterior(e_h, P)[1]
     found = find_azimuth(e_h, P, COS_LATITUDE)
+    spread = posterior(e_h, found.excess * P)[1]
     if spread < 0.5:
         assert_agrees(found, e_h, P, 0.15, 0.15)
     else:
@@ -95,7 +95,7 @@ def test_any_error(seed: float) -> None:
     alpha = rng.uniform(-math.pi, math.pi)
     e_h = point(alpha) + np.linalg.cholesky(P) @ rng.normal(size=2)
     found = find_azimuth(e_h, P, COS_LATITUDE)
-    mean, spread = posterior(e_h, P)
+    mean, spread = posterior(e_h, found.excess * P)
     off = abs(float(wrapped(np.array(found.alpha - mean))))
     assert off < 0.35 * spread
     assert 0.75 * spread < found.sigma < 1.35 * spread
@@ -133,3 +133,11 @@ def test_latitude_is_a_scale(cos_latitude: float) -> None:
     there = find_azimuth(scale * e_h, scale**2 * P, cos_latitude)
     assert there.alpha == pytest.approx(here.alpha, abs=1e-6 * DEGREE)
     assert there.sigma == pytest.approx(here.sigma, rel=1e-6)
+
+
+def test_an_estimate_off_the_circle_is_not_believed() -> None:
+    """By eight sigma: the covariance is 64 times too small; by one and a half it may be right."""
+    P = ellipse(0.05, 0.05, 0.0)
+    assert find_azimuth(point(1.0, 0.6), P, COS_LATITUDE).excess == pytest.approx(64.0)
+    assert find_azimuth(point(1.0, 0.925), P, COS_LATITUDE).excess == 1.0
+    assert find_azimuth(point(1.0), P, COS_LATITUDE, 9.0).excess == 9.0

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sins_align.config import Completion
-from sins_align.status import POLE_REMEDY, Completer
-from sins_align.types import Advance, Estimate, State, Status
+from sins_align.status import POLE_REMEDY, Completer, Declared
+from sins_align.types import Advance, Estimate, OdometerEstimate, State, Status
 from sins_align.units import ARCMIN, ARCSEC
 
 HEADING, LEVEL, HOLD_S = 6.0 * ARCMIN, 30.0 * ARCSEC, 10.0
@@ -169,7 +169,26 @@ def test_innovations_that_do_not_fit_are_not_aligned() -> None:
 
 def test_a_bias_beyond_the_declared_one_is_not_aligned() -> None:
     found = dataclasses.replace(estimate(), gyro_bias=np.array([0.0, -6e-6, 0.0]))
-    assert status_of(found, gyro_bias_sigma=2e-6).state is State.ALIGNED
-    status = status_of(found, gyro_bias_sigma=1e-6)
+    assert status_of(found, declared=Declared(gyro_bias=2e-6)).state is State.ALIGNED
+    status = status_of(found, declared=Declared(gyro_bias=1e-6))
     assert status.state is not State.ALIGNED
     assert "6.0 times" in status.reason
+
+
+def test_an_accelerometer_bias_beyond_the_declared_one_is_not_aligned() -> None:
+    level = dataclasses.replace(estimate(), accel_bias=np.array([6e-3, 0.0, 0.0]))
+    upward = dataclasses.replace(estimate(), accel_bias=np.array([0.0, 0.0, 6e-3]))
+    status = status_of(level, declared=Declared(accel_bias=1e-3))
+    assert status.state is not State.ALIGNED and "accelerometer bias is 6.0 times" in status.reason
+    assert status_of(upward, declared=Declared(accel_bias=1e-3)).state is State.ALIGNED
+    assert status_of(level).state is State.ALIGNED
+
+
+def test_a_scale_error_beyond_the_declared_one_is_not_aligned() -> None:
+    """km/h for m/s, say."""
+    nothing = np.zeros(3)
+    odometer = OdometerEstimate(0.3, 0.01, 0.0, 0.1, nothing, np.eye(3), nothing, np.eye(3))
+    found = dataclasses.replace(estimate(), odometer=odometer)
+    status = status_of(found, declared=Declared(odometer_scale=0.02))
+    assert status.state is not State.ALIGNED and "scale error is 15.0 times" in status.reason
+    assert status_of(found, declared=Declared(odometer_scale=0.1)).state is State.ALIGNED

@@ -51,38 +51,44 @@ def find_azimuth(e_h: Array, P: Array, cos_latitude: float, least: float = 1.0) 
     """
     information = np.linalg.inv(P) * cos_latitude**2
     mean = e_h / cos_latitude
-    alpha, sigma = _search(mean, information)
-    off = np.array([math.sin(alpha), math.cos(alpha)]) - mean
-    square = float(off @ information @ off)
+    alpha, sigma, square = _search(mean, information)
     excess = max(square if square > MOST_OFF else 1.0, least)
     if excess > 1.0:
-        alpha, sigma = _search(mean, information / excess)
+        alpha, sigma, _ = _search(mean, information / excess)
     s, c = math.sin(alpha), math.cos(alpha)
     point, tangent = np.array([s, c]), np.array([c, -s])
     return Azimuth(alpha, sigma, cos_latitude * point, cos_latitude * tangent, excess)
 
 
-def _search(mean: Array, information: Array) -> tuple[float, float]:
-    """Azimuth and sigma: on the grid, and where that is too coarse, by Newton from there."""
-    alpha, sigma, aside = _on_grid(mean, information)
+def _search(mean: Array, information: Array) -> tuple[float, float, float]:
+    """Azimuth, sigma, and the least normalised square of a point on the circle.
+
+    On the grid, and where that is too coarse, by Newton from there.
+    """
+    alpha, sigma, aside, least = _on_grid(mean, information)
     if sigma < FINE_SIGMA:
         alpha, sigma = _newton(mean, information, alpha)
         sigma = math.hypot(sigma, aside)
-    return alpha, sigma
+    off = np.array([math.sin(alpha), math.cos(alpha)]) - mean
+    return alpha, sigma, min(least, float(off @ information @ off))
 
 
-def _on_grid(mean: Array, information: Array) -> tuple[float, float, float]:
-    """Circular mean, root of the mean square angle from it, and what is far off adds to that."""
+def _on_grid(mean: Array, information: Array) -> tuple[float, float, float, float]:
+    """Circular mean, root of the mean square angle from it, what is far off adds to that.
+
+    And the least normalised square.
+    """
     off = _UNIT - mean[:, None]
     weight = -0.5 * np.einsum("in,ij,jn->n", off, information, off)
-    weight = np.exp(weight - weight.max())
+    most = float(weight.max())
+    weight = np.exp(weight - most)
     weight /= weight.sum()
     s, c = _UNIT @ weight
     alpha = math.atan2(s, c)
     angle = (_GRID - alpha + math.pi) % math.tau - math.pi
     square = weight * (angle * angle)
     aside = float(square[np.abs(angle) > FAR].sum())
-    return alpha, math.sqrt(float(square.sum())), math.sqrt(aside)
+    return alpha, math.sqrt(float(square.sum())), math.sqrt(aside), -2.0 * most
 
 
 def _newton(mean: Array, information: Array, alpha: float) -> tuple[float, float]:

@@ -20,7 +20,8 @@ MAX_LATE_NS = 200_000_000
 # Samples that are late one after the other for longer than this are not late: the clock has
 # been set back.
 SET_BACK_NS = 500_000_000
-# What `recent` keeps.
+# What `recent` keeps, before the IMU's time, which may be so far behind.
+MOST_AHEAD_NS = 3_600_000_000_000
 RECENT_NS = 10_000_000_000
 
 
@@ -33,12 +34,14 @@ class OdometerIntake:
     clock has been set back, the samples begin anew: stamps of what `add` returns go back by
     more than `MAX_LATE_NS` there, and only there.
 
+    imu_ns : how far the IMU has come [ns], None where it is not known
     rejected : how many were refused, by reason; their sum is in `counts.odom_rejected`
     """
 
     def __init__(self, counts: InputCounts) -> None:
         self._counts = counts
         self.rejected = {"not_finite": 0, "out_of_range": 0, "repeated": 0, "backward": 0}
+        self.imu_ns: int | None = None
         self._recent: deque[OdometerSamples] = deque()  # in order, one part after the other
         self._last_ns: int | None = None  # newest stamp accepted
         self._suspect: OdometerSamples | None = None
@@ -118,7 +121,9 @@ class OdometerIntake:
         self._late = None
         self._last_ns = int(samples.stamp_ns[-1])
         self._counts.odom_samples += len(samples)
-        while int(self._recent[0].stamp_ns[-1]) < self._last_ns - RECENT_NS:
+        used = self._last_ns if self.imu_ns is None else min(self._last_ns, self.imu_ns)
+        oldest = max(used, self._last_ns - MOST_AHEAD_NS) - RECENT_NS
+        while int(self._recent[0].stamp_ns[-1]) < oldest:
             self._recent.popleft()
         return samples
 
