@@ -12,6 +12,7 @@ import numpy as np
 
 from evidence.checks import Check, upper
 from evidence.monte_carlo import misalignment, rms
+from sins_align import session
 from sins_align.config import OdoConfig, odo_config
 from sins_align.odo import wander
 from sins_align.odo.aligner import OdoAligner
@@ -112,12 +113,12 @@ class RecordedSession(Session):
         self._begin_with = start, heading
         super().__init__(config)
 
-    def _make_aligner(self, at_ns: int | None = None) -> None:
-        super()._make_aligner(at_ns)
-        if isinstance(self._config, OdoConfig) and self._position is not None:
-            aligner = RecordedAligner(self._config, self._position, *self._begin_with)
-            aligner.aid(self._odometer_intake.recent())
-            self._aligner = self._aided = aligner
+    def _make_aligner(self, *arguments: Any) -> None:
+        with patch.object(session, "make_odo_aligner", self._make_recorded):
+            super()._make_aligner(*arguments)
+
+    def _make_recorded(self, config: OdoConfig, position: Position) -> RecordedAligner:
+        return RecordedAligner(config, position, *self._begin_with)
 
     @property
     def moments(self) -> list[Moment]:
@@ -183,17 +184,17 @@ def drive(
     simulated = simulate_vehicle(options)
     config = make_config(options, parameters or {})
     heading = float(simulated.truth.heading_at(int(simulated.imu.stamp_ns[0])))
-    session = RecordedSession(config, start, heading)
+    recorded = RecordedSession(config, start, heading)
     plain = start is not None and start.sigma_deg is not None
     with patch.object(wander, "SOFT_LIMIT", math.inf if plain else wander.SOFT_LIMIT):
         if not config.stationary:
-            session.add_odometer(simulated.odometer)
-        updates = session.add_imu(simulated.imu)
-    return _tabulate(simulated, session, false_claims(updates, config))
+            recorded.add_odometer(simulated.odometer)
+        updates = recorded.add_imu(simulated.imu)
+    return _tabulate(simulated, recorded, false_claims(updates, config))
 
 
-def _tabulate(simulated: VehicleRun, session: RecordedSession, wrong: int) -> Drive:
-    options, moments = simulated.options, session.moments
+def _tabulate(simulated: VehicleRun, recorded: RecordedSession, wrong: int) -> Drive:
+    options, moments = simulated.options, recorded.moments
     length = round(options.duration_s) + 1
     table = np.full((length, 12), np.nan)
     if moments:
@@ -213,7 +214,7 @@ def _tabulate(simulated: VehicleRun, session: RecordedSession, wrong: int) -> Dr
                 m.scale[1], m.published, m.consistency, m.stamp_ns * 1e-9,
             )  # fmt: skip
     return Drive(
-        options.seed, table[:, :3], table[:, 3:6], *table[:, 6:11].T, session.status, wrong
+        options.seed, table[:, :3], table[:, 3:6], *table[:, 6:11].T, recorded.status, wrong
     )
 
 

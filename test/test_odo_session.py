@@ -309,6 +309,20 @@ def test_scale_step_is_found() -> None:
     assert found[max(t for t in found if t <= 115)] == pytest.approx(after, abs=0.004)
 
 
+@pytest.mark.parametrize("at", [2, 10, 35, 60])
+@pytest.mark.parametrize("speed", [-4.7, 3.0, 30.0])
+def test_an_outlier_before_the_vehicle_moves(at: int, speed: float) -> None:
+    """Where little is known yet of the odometer, and the levels and the velocity come from it."""
+    run = vehicle("ring", 110.0, seed=27)
+    samples = OdometerSamples(*(x.copy() for x in run.odometer))
+    samples.speed[at] = speed
+    session = Session(config_of(run))
+    updates = session.add_odometer(samples) + session.add_imu(run.imu)
+    assert_sound(run, updates)
+    assert session.estimate is not None
+    assert session.estimate.sigma[2] < 30.0 * ARCMIN
+
+
 def test_reversing_with_a_signed_odometer() -> None:
     run = vehicle("reverse", 185.0)
     assert run.odometer.speed.min() < -2.0
