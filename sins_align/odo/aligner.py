@@ -27,6 +27,11 @@ from sins_align.types import Advance, Array, Estimate, ImuBlock, OdometerSamples
 PUBLISH_SIGMA = math.radians(3.0)
 # Nor is a first one whose innovations say that sigma is not true.
 PUBLISH_CONSISTENCY = 2.0
+# A filter begins anew when it is no older than so many epochs and one of them contradicts it by
+# so large a normalised square; or than so many, and they do on the whole.
+INFANT_EPOCHS, CONTRADICTION = 8, 100.0
+YOUNG_EPOCHS, DISBELIEF = 60, 6.0
+MOST_BEGINNINGS = 3
 # Once the azimuth is known, nothing is gained by epochs as short as before.
 LONG_EPOCH_S = 2.0
 
@@ -55,6 +60,7 @@ class OdoAligner:
         self._pairing = Pairing(None if config.stationary else config.odometer)
         self._detector = StandingDetector(config.grade, config.stationary)
         self._starter = Starter(config, position)
+        self._begun_anew = 0
         self._filter: WanderFilter | None = None
         self._estimate: Estimate | None = None
         self._turned: Array | None = None  # by the IMU samples since the last epoch
@@ -97,10 +103,23 @@ class OdoAligner:
                 self._filter, waiting = started
                 for early in waiting:
                     self._process(self._filter, early)
+        if self._filter is not None and self._is_stillborn(self._filter):
+            self._filter, self._starter = None, Starter(self._config, self._position)
+            self._begun_anew += 1
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
             return Advance(stamp_ns, None, *self._why_not())
         return Advance(stamp_ns, self._estimate)
+
+    def _is_stillborn(self, filter_: WanderFilter) -> bool:
+        """Whether the first epochs contradict each other: one of them was an outlier.
+
+        A young filter believes the first ones, whichever it was.
+        """
+        if self._begun_anew == MOST_BEGINNINGS:
+            return False
+        infant = filter_.epochs <= INFANT_EPOCHS and filter_.nis > CONTRADICTION
+        return infant or (filter_.epochs <= YOUNG_EPOCHS and filter_.consistency > DISBELIEF)
 
     def _process(self, filter_: WanderFilter, paired: Paired) -> None:
         filter_.odometer.quantum = self._pairing.quantum

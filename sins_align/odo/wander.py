@@ -75,6 +75,7 @@ class WanderFilter:
     gyro_bias, accel_bias, gyro_turn : (3,) estimated [rad/s], [m/s^2], [1]
     one_azimuth : whether the azimuth is one state (small-angle model) or two
     consistency : mean normalised innovation squared over its expectation, of late
+    nis, epochs : that of the last epoch measured, and how many epochs it has taken in
     accel_prior, accel_triad : (3,) prior variance of the accelerometers' biases, and what of it
         are scale errors and misalignments [m^2/s^4]
 
@@ -98,6 +99,8 @@ class WanderFilter:
         self.gyro_bias, self.accel_bias, self.gyro_turn = np.zeros((3, 3))
         self.one_azimuth = azimuth_sigma is not None
         self.consistency = math.nan
+        self.nis = 0.0
+        self.epochs = 0
         self._excess = 1.0  # by how much the azimuth says that P is too small
         self._model = ErrorModel(imu_noise(grade))
         self._jump = ScaleJump()
@@ -141,6 +144,7 @@ class WanderFilter:
         nothing is measured. Returns whether it was taken as one of a vehicle that stands.
         """
         navigation, odometer, T = self.navigation, self.odometer, epoch.duration_s
+        self.epochs += 1
         C_start = navigation.C_ab
         rate = float(C_start[2] @ unskew3(epoch.C_end)) / T
         axes_start = C_start @ odometer.C_bm
@@ -218,6 +222,7 @@ class WanderFilter:
         nis = float(innovation @ inverse @ innovation)
         if not math.isfinite(nis):
             raise np.linalg.LinAlgError("the filter broke down")
+        self.nis = nis
         self._note(nis)
         if nis > SOFT_LIMIT:
             inverse = inverse3(soften(S, R, innovation, nis))
