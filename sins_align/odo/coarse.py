@@ -125,6 +125,7 @@ class CoarseAligner:
 
     @quantum.setter
     def quantum(self, value: float) -> None:
+        """For the epochs that follow."""
         self._odometer.quantum = value
 
     def _restart(self) -> None:

@@ -52,9 +52,11 @@ class _Draft:
     curvature: LevelPlan
 
     def random(self, low: float, high: float) -> float:
+        """A number between two."""
         return float(self.stream.uniform(low, high))
 
     def sign(self) -> float:
+        """Left or right."""
         return 1.0 if self.stream.random() < 0.5 else -1.0
 
     def go_to(self, speed: float) -> None:
