@@ -44,7 +44,8 @@ class Pairing:
     An epoch ends at the knot of the track nearest to a second after its begin, and is cut as
     soon as all samples are there that can change it. The IMU waits for `timeout_s` after that
     second, and no less than for the longest epoch. What comes out does not depend on how many
-    samples come in one call, nor, within that time, on which of the two sensors is ahead.
+    samples come in one call, nor, within that time less an interval of the odometer, on which
+    of the two sensors is ahead.
 
     config : None: no odometer
     """
