@@ -9,6 +9,8 @@ b   body, REP-103: x forward, y left, z up (FLU). Mu & Fang and Wu et al. use x 
 n   navigation, local ENU (x east, y north, z up) at the swing centre or the vehicle.
 b0  the body axes at the first sample, frozen in inertial space.
 n0  the navigation axes at the first sample, frozen in inertial space.
+a   wander azimuth: level like ENU, but turned about up by an angle alpha, v_n = Rz(alpha) v_a.
+m   the vehicle's axes, in which it travels along x; C_bm is the mounting of the IMU.
 i   inertial; e Earth-fixed.
 
 Symbols
