@@ -16,7 +16,7 @@ from sins_align.types import Array
 
 FINE_SIGMA = 0.1  # [rad]
 NEWTON_STEPS = 8
-MOST_OFF = 4.0  # of the normalised square off the circle
+MOST_OFF = 9.0  # of the normalised square off the circle
 FAR = 0.5  # [rad], beyond it another maximum
 _GRID = np.arange(180) * (math.tau / 180)
 _UNIT = np.stack((np.sin(_GRID), np.cos(_GRID)))
@@ -40,7 +40,7 @@ def find_azimuth(e_h: Array, P: Array, cos_latitude: float, least: float = 1.0) 
     """The azimuth given the length of e_h.
 
     That e_h is off the circle by more than its error should be is a test of the covariance
-    that costs nothing: chi-square with one degree of freedom. Beyond two sigma the covariance
+    that costs nothing: chi-square with one degree of freedom. Beyond three sigma the covariance
     is taken as so much larger.
 
     Parameters

@@ -54,7 +54,7 @@ MOST_INCONSISTENT = 20.0  # of one epoch
 LONG_GAP_S = 0.12
 # Beyond so many squared sigma off the circle, P is not believed; up to there it is only what
 # is given out that is widened, and for some epochs more.
-FAR_OFF = 16.0
+FAR_OFF = 25.0
 EXCESS_MEMORY = 0.97
 # The navigation's path in an epoch of standing: how far it may be from nothing.
 STANDING_TOLERANCE = 0.01  # [m]
