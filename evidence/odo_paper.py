@@ -4,8 +4,8 @@ The linear filter has the errors of sin and cos of the azimuth as states: the he
 begins with is a choice of axes. The paper's extended Kalman filter has the azimuth's own error
 as a state, is linearised about a heading that may be wrong, and starts here with 104 deg of
 1 sigma: that of a heading of which nothing is known. Both have the same model otherwise, but
-the EKF has no soft weighting, which the paper does not know of: it would take the innovations
-of a heading that is wrong by more than a right angle for outliers, and stop.
+the EKF has no soft weighting and does not begin anew, of which the paper knows nothing: both
+take the innovations of a heading that is wrong by more than a right angle for outliers.
 
 The text of the paper that there is has lost the numbers of its table 1 and all of its curves:
 what is said of them in words is what is checked. Its data are real; these are simulated.

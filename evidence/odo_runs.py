@@ -35,9 +35,9 @@ class Start(NamedTuple):
     """The heading that the filter begins with.
 
     error_deg : of it, clockwise
-    sigma_deg : the paper's extended Kalman filter, with so much uncertainty, and without the
-        soft weighting, which would take its large innovations for outliers; None: the linear
-        filter, for which the heading at the start is a mere choice of axes
+    sigma_deg : the paper's extended Kalman filter, with so much uncertainty, and without what
+        takes its large innovations for outliers: soft weighting, and a new beginning; None: the
+        linear filter, for which the heading at the start is a mere choice of axes
     """
 
     error_deg: float
@@ -83,8 +83,12 @@ class RecordedAligner(OdoAligner):
     ) -> None:
         super().__init__(config, position)
         self.moments: list[Moment] = []
+        self._plain = start is not None and start.sigma_deg is not None
         if start is not None:
             self._starter = TurnedStarter(config, position, start, heading)
+
+    def _is_stillborn(self, filter_: WanderFilter) -> bool:
+        return not self._plain and super()._is_stillborn(filter_)
 
     def _take_in(self, paired: Paired) -> Advance:
         step = super()._take_in(paired)
