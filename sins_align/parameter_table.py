@@ -226,7 +226,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     ),
     _odo(
         "odometer_noise_m",
-        [0.002, 0.0015, 0.0015],
+        [0.001, 0.00075, 0.00075],
         "noise of the displacement in a second, forward, lateral, up, 1 sigma: a floor",
         low=1e-5,
         high=100.0,
@@ -234,7 +234,7 @@ ODO_PARAMETERS: tuple[Parameter, ...] = (
     ),
     _odo(
         "odometer_noise_per_m",
-        [0.0003, 0.0005, 0.0007],
+        [0.00015, 0.00025, 0.00035],
         "what it grows by with the distance travelled in the second",
         low=0.0,
         high=1.0,
