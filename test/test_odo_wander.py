@@ -365,7 +365,7 @@ def at_hand_over() -> tuple[WanderFilter, int]:
     limit = HAND_OVER_VARIANCE * math.cos(filter_.navigation.latitude) ** 2
     for second in range(170):
         run_filter(filter_, second, second + 1)
-        if filter_.P[AZIMUTH, AZIMUTH].trace() < 1.2 * limit or filter_.one_azimuth:
+        if filter_.P[AZIMUTH, AZIMUTH].trace() < 2.0 * limit or filter_.one_azimuth:
             return filter_, second + 1
     raise AssertionError("no hand-over")
 

@@ -24,12 +24,17 @@ from sins_align.odo.odometer_model import (
 from sins_align.rotation import dcm_from_rpy
 from sins_align.types import Array
 
+CAUTION = 2.0
+
 
 class CoarseOdometer:
     """Displacements and their noise, in b0; C (3, 3) is b to b0, at the start of an epoch."""
 
     def __init__(self, config: OdometerConfig) -> None:
         self._config = config
+        # The declared noise is a floor. A filter's grows with its innovations; here it cannot.
+        self._noise = CAUTION * config.noise
+        self._noise_per_m = CAUTION * config.noise_per_m
         self.quantum = 0.0 if config.quantum is None else config.quantum
         self._C_bm = dcm_from_rpy(*config.mounting_rpy.tolist())
         self.forward_b = self._C_bm[:, 0].copy()
@@ -78,7 +83,7 @@ class CoarseOdometer:
         The declared noise is that of an epoch, which has two ends; a count may be lost at each.
         """
         Cm = C @ self._C_bm
-        variance = 0.5 * self._config.noise**2
+        variance = 0.5 * self._noise**2
         variance[0] += (QUANTUM_SHARE * self.quantum) ** 2
         return (Cm * variance) @ Cm.T
 
@@ -98,7 +103,7 @@ class CoarseOdometer:
         decay = np.exp(-T / DIRECTION_TIME_S)
         slow = np.zeros(3)
         slow[1:] = known.direction_sigma * distance * np.sqrt((1.0 + decay) / (1.0 - decay))
-        variance = np.maximum(known.noise_per_m * distance, slow) ** 2
+        variance = np.maximum(self._noise_per_m * distance, slow) ** 2
         variance[0] += travel.variance
         Cm = C @ (epoch.B @ self._C_bm) / T
         return (Cm * variance) @ Cm.T
