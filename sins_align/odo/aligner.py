@@ -65,6 +65,7 @@ class OdoAligner:
         self._estimate: Estimate | None = None
         self._turned: Array | None = None  # by the IMU samples since the last epoch
         self._limit = heading_limit(config.grade, position.latitude)
+        self._is_polar = math.cos(position.latitude) < LEAST_COS_LATITUDE
 
     def update(self, block: ImuBlock) -> list[Advance]:
         """Take in the next block of samples; a step for every epoch that is whole."""
@@ -130,7 +131,7 @@ class OdoAligner:
         """Why there is no estimate yet, and what helps."""
         if math.isnan(self._limit):
             return POLE, ""
-        if math.cos(self._position.latitude) < LEAST_COS_LATITUDE:
+        if self._is_polar:
             limit = f"the declared gyro bias allows {math.degrees(self._limit):.0f} deg"
             return f"heading is unobservable at this latitude: {limit}", UNOBSERVABLE_REMEDY
         if self._filter is None:
@@ -162,7 +163,7 @@ class OdoAligner:
 
     def _estimate_at(self, stamp_ns: int, block: ImuBlock | None = None) -> Estimate | None:
         filter_ = self._filter
-        if filter_ is None:
+        if filter_ is None or self._is_polar:
             return None
         knowledge = knowledge_of(filter_)
         C_nb, covariance = knowledge.C_nb, knowledge.covariance
