@@ -16,15 +16,21 @@ _TOLD = 0.01
 _LEAST_STEP_NS = 50_000.0
 
 
+def has_gap(stamp_ns: IntArray) -> bool:
+    """Whether a step of the stamps (n+1,) [ns] is one and a half times the shortest or longer."""
+    steps = stamp_ns[1:] - stamp_ns[:-1]
+    return steps.shape[0] > 1 and 2 * int(steps.max()) >= 3 * int(steps.min())
+
+
 def fill_gaps(block: ImuBlock) -> ImuBlock:
     """The block with lost samples put in, by cubic interpolation of their neighbours.
 
     A step that is k nominal intervals long gets k - 1 samples. For interval means the
     running mean is interpolated, which is what a lost sample would have carried.
     """
-    steps = np.diff(block.stamp_ns)
-    if steps.shape[0] < 2 or 2 * steps.max() < 3 * steps.min():
+    if not has_gap(block.stamp_ns):
         return block
+    steps = np.diff(block.stamp_ns)
     nominal = max(float(np.median(steps)), _LEAST_STEP_NS)
     missing = (np.rint(steps / nominal).astype(np.int64) - 1).clip(min=0)
     if missing.max() == 0:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.gaps import fill_gaps
+from sins_align.gaps import fill_gaps, has_gap
 from sins_align.rotation import (
     cross,
     cumulative_rotation,
@@ -282,7 +282,7 @@ def integrate_window(
     stamp_ns : (n+1,); values : (6, n+1) rate and specific force, as in `ImuBlock`
     travelled : (k, n+1) functions S of time at the stamps; trapezoidal rule
     """
-    if _has_gap(stamp_ns):
+    if has_gap(stamp_ns):
         filled = fill_gaps(ImuBlock(stamp_ns, values[:3], values[3:]))
         if travelled is not None:
             old, new = (ns - stamp_ns[0] for ns in (stamp_ns, filled.stamp_ns))
@@ -304,12 +304,6 @@ def integrate_window(
         paths = (0.5 * (weights @ rows[:9].T)).reshape(-1, 3, 3)
     C_end = rows[:9, -1].reshape(3, 3)
     return Window(float(t[-1]), u, s, B, BB, C_end, q[:, -1], paths)
-
-
-def _has_gap(stamp_ns: IntArray) -> bool:
-    """Whether a step is longer than one and a half of the shortest."""
-    steps = stamp_ns[1:] - stamp_ns[:-1]
-    return bool(2 * steps.max() >= 3 * steps.min())
 
 
 def _shifted_weights(weights: Array) -> Array:

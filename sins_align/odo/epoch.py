@@ -10,6 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from sins_align.odo.pairing import Paired
 
+from sins_align.gaps import has_gap
 from sins_align.increments import integrate_window
 from sins_align.types import Array, ImuSampling, IntArray
 
@@ -105,9 +106,10 @@ def _spread(sums: list[float], squares: list[float], n: int) -> float:
 
 
 def _longest_gap(stamp_ns: IntArray) -> float:
+    """Longest time without a sample, beyond the usual interval [s]."""
+    if not has_gap(stamp_ns):
+        return 0.0
     steps = stamp_ns[1:] - stamp_ns[:-1]
     longest = int(steps.max())
-    if 2 * longest < 3 * int(steps.min()):
-        return 0.0
     missing = longest - int(np.median(steps))
     return missing * 1e-9 if 3 * missing >= longest else 0.0

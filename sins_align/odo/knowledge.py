@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.earth import SEMI_MAJOR_AXIS
-from sins_align.odo.layout import ACCEL_BIAS, AZIMUTH, GYRO_BIAS, ODOMETER, PHI
+from sins_align.odo.layout import ACCEL_BIAS, ALPHA, GYRO_BIAS, ODOMETER, PHI
 from sins_align.odo.wander import WanderFilter
 from sins_align.rotation import exp_rotation, unskew3
 from sins_align.types import Array, OdometerEstimate
@@ -40,16 +40,16 @@ def knowledge_of(filter_: WanderFilter) -> Knowledge:
     mean, P = filter_.with_one_azimuth(azimuth)
     s, c = math.sin(azimuth.alpha), math.cos(azimuth.alpha)
     C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    J = np.zeros((3, 7))
+    J = np.zeros((3, ALPHA + 1))
     J[:, PHI] = C_na
-    J[2, AZIMUTH.start] = -1.0
+    J[2, ALPHA] = -1.0
     variance = P.diagonal()
     # Of biases and scale errors the filter knows the sum: what it does not tell apart.
     accel = variance[ACCEL_BIAS]
     apart = 1.0 - 2.0 * accel / filter_.accel_prior
     return Knowledge(
         C_nb=C_na @ exp_rotation(mean[PHI]) @ filter_.navigation.C_ab,
-        covariance=J @ P[:7, :7] @ J.T,
+        covariance=J @ P[: ALPHA + 1, : ALPHA + 1] @ J.T,
         gyro_bias=filter_.gyro_bias + mean[GYRO_BIAS],
         gyro_bias_sigma=np.sqrt(variance[GYRO_BIAS]),
         accel_bias=filter_.accel_bias + mean[ACCEL_BIAS],

@@ -11,6 +11,7 @@ from __future__ import annotations
 PHI = slice(0, 3)
 VELOCITY = slice(3, 6)
 AZIMUTH = slice(6, 8)
+ALPHA = 6  # of one azimuth state; the second one is then not used
 GYRO_BIAS = slice(8, 11)
 ACCEL_BIAS = slice(11, 14)
 GYRO_TURN = slice(14, 17)

@@ -26,6 +26,7 @@ from sins_align.odo.imu_model import (
 )
 from sins_align.odo.layout import (
     ACCEL_BIAS,
+    ALPHA,
     AZIMUTH,
     GYRO_BIAS,
     GYRO_TURN,
@@ -106,7 +107,7 @@ class WanderFilter:
         self._jump = ScaleJump()
         up_b = navigation.C_ab[2]
         variance = np.zeros(SIZE)
-        variance[0:2] = level_sigma**2
+        variance[PHI] = level_sigma**2, level_sigma**2, 0.0
         variance[VELOCITY] = velocity_sigma**2
         if azimuth_sigma is None:
             variance[AZIMUTH] = 0.5 * self.cos_latitude**2
@@ -129,7 +130,7 @@ class WanderFilter:
     @property
     def is_fine(self) -> bool:
         """Whether the azimuth is known as well as the small-angle model needs it."""
-        return self.one_azimuth and bool(self.P[6, 6] < HAND_OVER_VARIANCE)
+        return self.one_azimuth and bool(self.P[ALPHA, ALPHA] < HAND_OVER_VARIANCE)
 
     def bias(self, w_ib_b: Array) -> Array:
         """(6,) what is to be taken off the samples of an epoch with the rates w_ib_b (3, n+1)."""
@@ -248,7 +249,7 @@ class WanderFilter:
         navigation.v_a = navigation.v_a - dx[VELOCITY]
         e = navigation.e_a.copy()
         if self.one_azimuth:
-            alpha = math.atan2(e[0], e[1]) - float(dx[AZIMUTH.start])
+            alpha = math.atan2(e[0], e[1]) - float(dx[ALPHA])
             length = math.sqrt(max(1.0 - float(e[2]) ** 2, 0.0))
             e[:2] = length * math.sin(alpha), length * math.cos(alpha)
         else:
@@ -260,7 +261,7 @@ class WanderFilter:
         self.gyro_turn = self.gyro_turn + dx[GYRO_TURN]
         self.odometer.x = self.odometer.x - dx[ODOMETER]
         if not self.one_azimuth:
-            variance = float(self.P[6, 6] + self.P[7, 7])
+            variance = float(self.P[AZIMUTH, AZIMUTH].trace())
             if variance < HAND_OVER_VARIANCE * self.cos_latitude**2:
                 self._hand_over()
 
@@ -275,7 +276,7 @@ class WanderFilter:
         """The azimuth, given that the Earth's axis has the length that it has."""
         e = self.navigation.e_a
         if self.one_azimuth:
-            sigma = math.sqrt(max(float(self.P[6, 6]), 0.0))
+            sigma = math.sqrt(max(float(self.P[ALPHA, ALPHA]), 0.0))
             alpha = math.atan2(e[0], e[1])
             return Azimuth(alpha, sigma, e[:2].copy(), np.array([e[1], -e[0]]))
         return find_azimuth(e[:2], self.P[AZIMUTH, AZIMUTH], self.cos_latitude, self._excess)
