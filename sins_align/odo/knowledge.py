@@ -46,7 +46,7 @@ def knowledge_of(filter_: WanderFilter) -> Knowledge:
     variance = P.diagonal()
     # Of biases and scale errors the filter knows the sum: what it does not tell apart.
     accel = variance[ACCEL_BIAS]
-    apart = 1.0 - 2.0 * accel / filter_.accel_prior
+    apart = 1.0 - 2.0 * np.minimum(accel / filter_.accel_prior, 1.0)
     return Knowledge(
         C_nb=C_na @ exp_rotation(mean[PHI]) @ filter_.navigation.C_ab,
         covariance=J @ P[: ALPHA + 1, : ALPHA + 1] @ J.T,
