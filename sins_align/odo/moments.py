@@ -208,9 +208,8 @@ class Unscented:
         # would cancel. With e_i = y_i - y_0 and d = sum W_i e_i over i > 0 the same sums are
         #     E y = y_0 + d,  P_yy = sum W_i e_i e_i' + (beta - alpha^2) d d'
         # and the middle weights do not appear.
-        # Opposite points come first: what is linear cancels in them without a remainder.
         W, e = 0.5 / c, e[1:]
-        d = W * (e[:n] + e[n:]).sum(axis=0)
+        d = W * e.sum(axis=0)
         covariance = W * (e.T @ e) + (self.beta - self.alpha**2) * np.outer(d, d)
         return Moments(origin + d, _symmetric(covariance), W * (offsets[1:].T @ e))
 
@@ -270,9 +269,7 @@ def _condition(P: Array, index: int) -> tuple[Array, Array]:
     _check_variances(P)
     variance = float(P[index, index])
     s = P[:, index] / math.sqrt(variance) if variance > 0.0 else np.zeros(P.shape[0])
-    rest = P - np.multiply.outer(s, s)
-    rest[index] = rest[:, index] = 0.0
-    return s, rest
+    return s, P - np.multiply.outer(s, s)
 
 
 def _root(P: Array, index: int) -> Array:
