@@ -113,6 +113,8 @@ class OdoConfig:
 
     position : None until a fix has come
     stationary : the vehicle stands, and needs no odometer
+    coarse, fading, nodes : of the methods with a large azimuth error: what they start from,
+        strong tracking, nodes of the Gauss-Hermite rule
     """
 
     method: str
@@ -122,6 +124,9 @@ class OdoConfig:
     completion: Completion
     stationary: bool
     odometer: OdometerConfig
+    coarse: str
+    fading: str
+    nodes: int
 
 
 def _position(values: Mapping[str, Any]) -> Position | None:
@@ -169,6 +174,9 @@ def odo_config(parameters: Mapping[str, object] | None = None) -> OdoConfig:
         sampling=ImuSampling(values["imu_sampling"]),
         completion=_completion(values),
         stationary=values["aiding"] == "stationary",
+        coarse=values["coarse"],
+        fading=values["fading"],
+        nodes=values["gauss_hermite_nodes"],
         odometer=OdometerConfig(
             timeout_s=values["odom_timeout_s"],
             latency=values["odometer_latency_s"],

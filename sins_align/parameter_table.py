@@ -150,8 +150,31 @@ SWING_PARAMETERS: tuple[Parameter, ...] = (
     ),
 )
 
+LARGE_AZIMUTH_METHODS = ("sghf", "ghf", "ckf", "ekf", "ukf")
+WANDER_METHODS = ("wander_kf", "wander_ekf")
+
 ODO_PARAMETERS: tuple[Parameter, ...] = (
-    _odo("method", "wander_kf", "estimation method", choices=("wander_kf", "wander_ekf")),
+    _odo("method", "sghf", "estimation method", choices=(*LARGE_AZIMUTH_METHODS, *WANDER_METHODS)),
+    _odo(
+        "coarse",
+        "wander",
+        "what sghf, ghf, ckf, ekf, ukf start from: wander, wander_kf, which then goes on as a"
+        " witness; inertial, the coarse alignment alone",
+        choices=("wander", "inertial"),
+    ),
+    _odo(
+        "fading",
+        "guarded",
+        "strong tracking of sghf: guarded, where the mismatch is; published, as in the paper; none",
+        choices=("guarded", "published", "none"),
+    ),
+    _odo(
+        "gauss_hermite_nodes",
+        3,
+        "nodes over the azimuth of sghf and ghf; 3 are as good as the paper's 7",
+        low=2,
+        high=31,
+    ),
     _odo(
         "passes",
         1,

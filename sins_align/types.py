@@ -124,6 +124,24 @@ class OdometerEstimate:
     lever_arm_covariance: Array
 
 
+class Witness(NamedTuple):
+    """Another estimate of the same attitude.
+
+    name : of the method
+    phi : (3,) misalignment of the estimate against it, axes east, north, up [rad]
+    covariance : (3, 3) sum of those of both [rad^2]
+    """
+
+    name: str
+    phi: Array
+    covariance: Array
+
+    @property
+    def square(self) -> float:
+        """Normalised square of phi over its expectation, were the two independent."""
+        return float(self.phi @ np.linalg.solve(self.covariance, self.phi)) / 3.0
+
+
 @dataclass(frozen=True)
 class Estimate:
     """An alignment at the time of one sample.
@@ -136,6 +154,7 @@ class Estimate:
     lever_arm, odometer : None where the method has none
     consistency : mean normalised innovation squared over its expected value, of late: above 1
         the data are worse than declared, below 1 better; NaN before there is an innovation
+    witness : another estimate from the same data, where there is one
     """
 
     stamp_ns: int
@@ -148,6 +167,7 @@ class Estimate:
     lever_arm: LeverArm | None = None
     odometer: OdometerEstimate | None = None
     consistency: float = float("nan")
+    witness: Witness | None = None
 
     @property
     def sigma(self) -> Array:

@@ -9,8 +9,16 @@ import numpy as np
 from sins_align.config import OdoConfig
 from sins_align.increments import integrate_rotation
 from sins_align.limits import heading_limit
-from sins_align.odo.epoch import integrate_epoch
-from sins_align.odo.knowledge import carry_attitude, knowledge_of
+from sins_align.odo.epoch import AidedEpoch, integrate_epoch
+from sins_align.odo.filter import AidedFilter
+from sins_align.odo.knowledge import Knowledge, carry_attitude, knowledge_of
+from sins_align.odo.large_azimuth import LargeAzimuthFilter, start_sigma
+from sins_align.odo.methods import (
+    coarse_sigma,
+    has_large_azimuth,
+    has_witness,
+    make_large_azimuth_filter,
+)
 from sins_align.odo.odometer_model import LATENCY
 from sins_align.odo.pairing import EPOCH_S, Paired, Pairing
 from sins_align.odo.standing import StandingDetector
@@ -18,10 +26,19 @@ from sins_align.odo.start import Starter
 from sins_align.odo.wander import WanderFilter
 from sins_align.rotation import (
     dcm_from_quaternion,
+    log_rotation,
     multiply_quaternions,
     quaternion_from_dcm,
 )
-from sins_align.types import Advance, Array, Estimate, ImuBlock, OdometerSamples, Position
+from sins_align.types import (
+    Advance,
+    Array,
+    Estimate,
+    ImuBlock,
+    OdometerSamples,
+    Position,
+    Witness,
+)
 
 # A heading less certain than this is not published.
 PUBLISH_SIGMA = math.radians(3.0)
@@ -59,13 +76,24 @@ class OdoAligner:
         self._position = position
         self._pairing = Pairing(None if config.stationary else config.odometer)
         self._detector = StandingDetector(config.grade, config.stationary)
-        self._starter = Starter(config, position)
         self._begun_anew = 0
-        self._filter: WanderFilter | None = None
+        self._begin()
         self._estimate: Estimate | None = None
         self._turned: Array | None = None  # by the IMU samples since the last epoch
         self._limit = heading_limit(config.grade, position.latitude)
         self._is_polar = math.cos(position.latitude) < LEAST_COS_LATITUDE
+
+    def _begin(self) -> None:
+        self._starter = Starter(self._config, self._position, coarse_sigma(self._config))
+        # The wander filter comes first; one with a large azimuth error follows, if asked for.
+        self._wander: WanderFilter | None = None
+        self._large: LargeAzimuthFilter | None = None
+        self._witness: Witness | None = None
+
+    @property
+    def _filter(self) -> AidedFilter | None:
+        """The one that is given out."""
+        return self._wander if self._large is None else self._large
 
     def update(self, block: ImuBlock) -> list[Advance]:
         """Take in the next block of samples; a step for every epoch that is whole."""
@@ -79,40 +107,45 @@ class OdoAligner:
 
     def _advance(self) -> list[Advance]:
         self._turned = None
-        steps = []
-        while (paired := self._pairing.next(self._delay(), self._length())) is not None:
-            steps.append(self._take_in(paired))
-        return steps
-
-    def _delay(self) -> float:
-        latency = self._config.odometer.latency
-        return (
-            latency if self._filter is None else latency + float(self._filter.odometer.x[LATENCY])
-        )
+        steps: list[Advance] = []
+        while True:
+            filter_ = self._filter
+            delay = 0.0 if filter_ is None else float(filter_.odometer.x[LATENCY])
+            paired = self._pairing.next(self._config.odometer.latency + delay, self._length())
+            if paired is None:
+                return steps
+            steps.append(self._take_in(paired, delay))
 
     def _length(self) -> float:
         """How long the next epoch should be [s]."""
-        return LONG_EPOCH_S if self._filter is not None and self._filter.is_fine else EPOCH_S
+        filters = self._filters()
+        return LONG_EPOCH_S if filters and all(f.is_fine for f in filters) else EPOCH_S
 
-    def _take_in(self, paired: Paired) -> Advance:
+    def _filters(self) -> list[AidedFilter]:
+        """All that run, the one that is given out first."""
+        return [f for f in (self._large, self._wander) if f is not None]
+
+    def _take_in(self, paired: Paired, delay: float) -> Advance:
+        """Take in an epoch, paired with the odometer `delay` [s] later than is declared."""
         stamp_ns = int(paired.block.stamp_ns[-1])
         if self._filter is not None:
-            self._process(self._filter, paired)
+            self._process(paired, delay)
         else:
             started = self._starter.add(paired, self._pairing.quantum)
             if started is not None:
-                self._filter, waiting = started
+                self._wander, waiting = started
                 for early in waiting:
-                    self._process(self._filter, early)
-        if self._filter is not None and self._is_stillborn(self._filter):
-            self._filter, self._starter = None, Starter(self._config, self._position)
+                    self._process(early, 0.0)
+        if any(map(self._is_stillborn, self._filters())):
+            self._begin()
             self._begun_anew += 1
+        self._follow()
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
             return Advance(stamp_ns, None, *self._why_not())
         return Advance(stamp_ns, self._estimate)
 
-    def _is_stillborn(self, filter_: WanderFilter) -> bool:
+    def _is_stillborn(self, filter_: AidedFilter) -> bool:
         """Whether the first epochs contradict each other: one of them was an outlier.
 
         A young filter believes the first ones, whichever it was.
@@ -122,10 +155,43 @@ class OdoAligner:
         infant = filter_.epochs <= INFANT_EPOCHS and filter_.nis > CONTRADICTION
         return infant or (filter_.epochs <= YOUNG_EPOCHS and filter_.consistency > DISBELIEF)
 
-    def _process(self, filter_: WanderFilter, paired: Paired) -> None:
+    def _process(self, paired: Paired, delay: float) -> None:
+        """Every filter integrates the epoch with its own biases."""
+        standing = None
+        for filter_ in self._filters():
+            epoch = self._integrate(filter_, paired, delay)
+            if standing is None:
+                standing = self._detector.judge(epoch)
+                self._detector.note(epoch, filter_.process(epoch, standing))
+            else:
+                filter_.process(epoch, standing)
+
+    def _integrate(self, filter_: AidedFilter, paired: Paired, delay: float) -> AidedEpoch:
         filter_.odometer.quantum = self._pairing.quantum
         epoch = integrate_epoch(paired, self._config.sampling, filter_.bias(paired.block.w_ib_b))
-        self._detector.note(epoch, filter_.process(epoch, self._detector.judge(epoch)))
+        own = float(filter_.odometer.x[LATENCY])
+        if epoch.travel is None or own == delay:
+            return epoch
+        return epoch._replace(travel=epoch.travel.later(own - delay))
+
+    def _follow(self) -> None:
+        """Start the filter with a large azimuth error; compare it with its witness."""
+        wander = self._wander
+        if wander is None or self._is_polar or not has_large_azimuth(self._config):
+            return
+        if self._large is None:
+            if not has_witness(self._config):
+                self._large, self._wander = make_large_azimuth_filter(self._config, wander), None
+            elif self._can_start(wander):
+                self._large = make_large_azimuth_filter(self._config, wander)
+        elif wander is not None:
+            self._witness = _compare(knowledge_of(self._large), knowledge_of(wander))
+
+    def _can_start(self, wander: WanderFilter) -> bool:
+        """Whether the azimuth is known well enough for the model of ENU."""
+        variance = float(knowledge_of(wander).covariance[2, 2])
+        least = start_sigma(self._config.odometer) ** 2
+        return variance < least and wander.consistency <= PUBLISH_CONSISTENCY
 
     def _why_not(self) -> tuple[str, str]:
         """Why there is no estimate yet, and what helps."""
@@ -138,7 +204,7 @@ class OdoAligner:
             # The first epoch is never whole: that alone means nothing.
             silent = self._starter.silent > 2
             return (SILENT, SILENT_REMEDY) if silent else ("", "")
-        sigma = math.degrees(self._filter.azimuth().sigma)
+        sigma = math.degrees(math.sqrt(knowledge_of(self._filter).covariance[2, 2]))
         reason = f"heading sigma {sigma:.0f} deg, not below {math.degrees(PUBLISH_SIGMA):.0f}"
         if self._filter.consistency > PUBLISH_CONSISTENCY:
             ratio = self._filter.consistency
@@ -184,9 +250,10 @@ class OdoAligner:
             accel_bias_sigma=knowledge.accel_bias_sigma,
             odometer=None if self._config.stationary else knowledge.odometer,
             consistency=filter_.consistency,
+            witness=self._witness,
         )
 
-    def _carry(self, filter_: WanderFilter, C_nb: Array, block: ImuBlock) -> tuple[Array, float]:
+    def _carry(self, filter_: AidedFilter, C_nb: Array, block: ImuBlock) -> tuple[Array, float]:
         """C_nb at the end of `block`, and how far that is from the last epoch's end [s]."""
         waiting = self._pairing.pending_block()
         sampling = self._config.sampling
@@ -198,3 +265,9 @@ class OdoAligner:
         ahead_s = int(block.stamp_ns[-1] - begin_ns) * 1e-9
         turned = dcm_from_quaternion(q / np.linalg.norm(q))
         return carry_attitude(filter_, C_nb, turned, ahead_s), ahead_s
+
+
+def _compare(own: Knowledge, other: Knowledge) -> Witness:
+    """The wander filter's attitude against the one that is given out."""
+    phi = log_rotation(own.C_nb @ other.C_nb.T)
+    return Witness("wander_kf", -phi, own.covariance + other.covariance)

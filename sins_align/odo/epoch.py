@@ -33,6 +33,13 @@ class Travel(NamedTuple):
     speed_end: float
     variance: float
 
+    def later(self, delay_s: float) -> Travel:
+        """With the odometer's stamps taken as so much later, to first order."""
+        return self._replace(
+            M=self.M + delay_s * self.M_rate,
+            distance=self.distance + delay_s * (self.speed_end - self.speed_start),
+        )
+
 
 class AidedEpoch(NamedTuple):
     """Integrals over an epoch, in the axes of b at its start, frozen in inertial space.

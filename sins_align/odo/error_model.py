@@ -24,14 +24,12 @@ from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.layout import (
     ACCEL_BIAS,
-    AZIMUTH,
-    EXTENDED,
     GYRO_BIAS,
     GYRO_TURN,
-    PATH,
     PHI,
-    SIZE,
+    SHARED,
     VELOCITY,
+    path_of,
 )
 from sins_align.odo.navigation import Course
 from sins_align.rotation import skew3
@@ -41,9 +39,7 @@ from sins_align.types import Array
 KEPT_DURATIONS = 32
 
 _EYE = np.eye(3)
-_GYRO_ROWS = np.r_[PHI, VELOCITY, PATH]
-_BIAS_INDEX = np.r_[GYRO_BIAS]
-_PATH_INDEX, _VELOCITY_INDEX = np.r_[PATH], np.r_[VELOCITY]
+_BIAS_INDEX, _VELOCITY_INDEX = np.r_[GYRO_BIAS], np.r_[VELOCITY]
 
 
 @dataclass(frozen=True)
@@ -59,54 +55,63 @@ class ImuNoise:
 
 
 class ErrorModel:
-    """Transition and noise of the navigation errors."""
+    """Transition and noise of the navigation errors.
 
-    def __init__(self, noise: ImuNoise) -> None:
+    size : number of states n without the path d; the ones of the Earth's axis come after the
+        shared ones
+    """
+
+    def __init__(self, noise: ImuNoise, size: int) -> None:
         self._noise = noise
-        self._transition = np.zeros((EXTENDED, SIZE))
-        self._transition[:SIZE, :SIZE] = np.eye(SIZE)
+        self._size = size
+        self._axis, self._path = slice(SHARED, size), path_of(size)
+        self._path_index = np.r_[self._path]
+        self._gyro_rows = np.r_[PHI, VELOCITY, self._path]
+        self._transition = np.zeros((size + 3, size))
+        self._transition[:size, :size] = np.eye(size)
         self._Q: dict[float, Array] = {}
 
-    def transition(self, epoch: AidedEpoch, course: Course, azimuth: Array, rate: float) -> Array:
-        """(EXTENDED, SIZE): the state at the end of the epoch, with d, from that at its start.
+    def transition(self, epoch: AidedEpoch, course: Course, axis: Array, rate: float) -> Array:
+        """(n + 3, n): the state at the end of the epoch, with d, from that at its start.
 
         Only the blocks of the navigation errors are filled in; the array is used again for
         the next epoch.
 
         Parameters
         ----------
-        azimuth : (2, 2) error of the horizontal part of e_a by the azimuth states
+        axis : (3, n - SHARED) error of e_a by the states of the Earth's axis
         rate : r, mean over the epoch [rad/s]
         """
         A, T, C = self._transition, epoch.duration_s, course.C_start
+        AXIS, PATH = self._axis, self._path
         U, S = course.U, course.S
         force = skew3(U / T)
         CB, CBB = C @ epoch.B, C @ epoch.BB
-        axis = EARTH_RATE * azimuth
+        w_axis = EARTH_RATE * axis
         A[PHI, PHI] = _EYE - skew3(T * course.w_ia)
         A[0, 4], A[1, 3] = -T / course.radius, T / course.radius
-        A[:2, AZIMUTH] = T * axis
+        A[PHI, AXIS] = T * w_axis
         A[VELOCITY, PHI] = skew3(U)
         A[VELOCITY, VELOCITY] = _EYE - skew3(T * course.w_2)
-        A[VELOCITY, AZIMUTH] = skew3(T * U - S + 2.0 * course.path)[:, :2] @ axis
+        A[VELOCITY, AXIS] = skew3(T * U - S + 2.0 * course.path) @ w_axis
         A[VELOCITY, ACCEL_BIAS] = CB
         A[PATH, PHI] = skew3(S)
-        A[_PATH_INDEX, _VELOCITY_INDEX] = T
+        A[self._path_index, _VELOCITY_INDEX] = T
         bent = (T * T * T / 6.0) * force + skew3(2.0 * course.area)
-        A[PATH, AZIMUTH] = bent[:, :2] @ axis
+        A[PATH, AXIS] = bent @ w_axis
         A[PATH, ACCEL_BIAS] = CBB
         late = skew3((0.5 * T) * U - S) @ CB
         bias = np.concatenate(
             (CB, force @ CBB + late / T, force @ ((0.5 * T) * CBB - (T * T / 12.0) * CB))
         )
-        A[_GYRO_ROWS, GYRO_BIAS] = -bias
-        A[_GYRO_ROWS, GYRO_TURN] = -rate * bias
+        A[self._gyro_rows, GYRO_BIAS] = -bias
+        A[self._gyro_rows, GYRO_TURN] = -rate * bias
         return A
 
     def within(
-        self, epoch: AidedEpoch, course: Course, azimuth: Array, rate: float, l_b: Array
+        self, epoch: AidedEpoch, course: Course, axis: Array, rate: float, l_b: Array
     ) -> Array:
-        """(3, EXTENDED) what phi's growth within the epoch does to a displacement.
+        """(3, n + 3) what phi's growth within the epoch does to a displacement.
 
         A displacement is turned by the phi of its time and not by that of the end, which H
         takes: int (phi(T) - phi(t)) x dD, of a displacement D that is the path; and the lever
@@ -114,8 +119,8 @@ class ErrorModel:
         """
         T, C = epoch.duration_s, course.C_start
         CB, CBB = C @ epoch.B, C @ epoch.BB
-        H = np.zeros((3, EXTENDED))
-        H[:, AZIMUTH] = skew3(course.area + CB @ l_b)[:, :2] @ (EARTH_RATE * azimuth)
+        H = np.zeros((3, self._size + 3))
+        H[:, self._axis] = skew3(course.area + CB @ l_b) @ (EARTH_RATE * axis)
         bias = skew3(course.area / T) @ CB + CB @ skew3(l_b)
         bias += skew3(course.path) @ (0.5 * CB - CBB / T)
         H[:, GYRO_BIAS] = -bias
@@ -123,11 +128,11 @@ class ErrorModel:
         return H
 
     def noise(self, duration: float) -> Array:
-        """(EXTENDED, EXTENDED) covariance that the IMU's noise adds over a time [s]."""
+        """(n + 3, n + 3) covariance that the IMU's noise adds over a time [s]."""
         Q = self._Q.get(duration)
         if Q is None:
-            Q = np.zeros((EXTENDED, EXTENDED))
-            Q[np.ix_(_GYRO_ROWS, _GYRO_ROWS)] = white_noise(self._noise, duration)
+            Q = np.zeros((self._size + 3, self._size + 3))
+            Q[np.ix_(self._gyro_rows, self._gyro_rows)] = white_noise(self._noise, duration)
             Q[_BIAS_INDEX, _BIAS_INDEX] = self._noise.gyro_walk**2 * duration
             if len(self._Q) >= KEPT_DURATIONS:
                 self._Q.clear()

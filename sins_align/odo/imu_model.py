@@ -10,7 +10,7 @@ from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ImuNoise
-from sins_align.odo.layout import PHI, SIZE, VELOCITY
+from sins_align.odo.layout import PHI, VELOCITY
 from sins_align.types import Array
 
 # These stand for sensors that claim to have no noise.
@@ -47,17 +47,17 @@ def accel_variance(grade: ImuGrade, up_b: Array) -> Array:
 
 
 def gap_noise(epoch: AidedEpoch) -> Array:
-    """(SIZE, SIZE) covariance of what happened while samples were missing.
+    """(6,) variances of phi and velocity of what happened while samples were missing.
 
     Interpolation knows all of a motion that is slow against the gap, and nothing of one that
     is quick: the unrest of the epoch stands for it.
     """
     blind = epoch.gap_s * min(GAP_MOST, (epoch.gap_s / GAP_S) ** 2)
     rate, force = epoch.unrest
-    variance = np.zeros(SIZE)
+    variance = np.empty(6)
     variance[PHI] = (blind * rate) ** 2
     variance[VELOCITY] = (blind * force) ** 2
-    return np.diag(variance)
+    return variance
 
 
 def _triad_variance(scale: float, misalignment: float, up_b: Array) -> Array:

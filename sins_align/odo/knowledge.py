@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.earth import SEMI_MAJOR_AXIS
-from sins_align.odo.layout import ACCEL_BIAS, ALPHA, GYRO_BIAS, ODOMETER, PHI
-from sins_align.odo.wander import WanderFilter
+from sins_align.odo.filter import AidedFilter
+from sins_align.odo.layout import ACCEL_BIAS, GYRO_BIAS, ODOMETER, PHI
 from sins_align.rotation import exp_rotation, unskew3
 from sins_align.types import Array, OdometerEstimate
 
@@ -31,34 +31,29 @@ class Knowledge(NamedTuple):
     odometer: OdometerEstimate
 
 
-def knowledge_of(filter_: WanderFilter) -> Knowledge:
-    """At the end of the last epoch. C_nb = Rz(alpha) C_ab.
-
-    phi_n = Rz(alpha) phi - up dalpha: an azimuth too large turns counter-clockwise.
-    """
-    azimuth = filter_.azimuth()
-    mean, P = filter_.with_one_azimuth(azimuth)
-    s, c = math.sin(azimuth.alpha), math.cos(azimuth.alpha)
+def knowledge_of(filter_: AidedFilter) -> Knowledge:
+    """At the end of the last epoch. C_nb = Rz(alpha) C_ab."""
+    posterior, sensors = filter_.posterior(), filter_.sensors
+    mean, P = posterior.mean, posterior.P
+    s, c = math.sin(posterior.alpha), math.cos(posterior.alpha)
     C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    J = np.zeros((3, ALPHA + 1))
-    J[:, PHI] = C_na
-    J[2, ALPHA] = -1.0
+    J = C_na @ posterior.heading
     variance = P.diagonal()
     # Of biases and scale errors the filter knows the sum: what it does not tell apart.
     accel = variance[ACCEL_BIAS]
-    apart = 1.0 - 2.0 * np.minimum(accel / filter_.accel_prior, 1.0)
+    apart = 1.0 - 2.0 * np.minimum(accel / sensors.accel_prior, 1.0)
     return Knowledge(
         C_nb=C_na @ exp_rotation(mean[PHI]) @ filter_.navigation.C_ab,
-        covariance=J @ P[: ALPHA + 1, : ALPHA + 1] @ J.T,
-        gyro_bias=filter_.gyro_bias + mean[GYRO_BIAS],
+        covariance=J @ P @ J.T,
+        gyro_bias=sensors.gyro_bias + mean[GYRO_BIAS],
         gyro_bias_sigma=np.sqrt(variance[GYRO_BIAS]),
-        accel_bias=filter_.accel_bias + mean[ACCEL_BIAS],
-        accel_bias_sigma=np.sqrt(np.maximum(accel + apart * filter_.accel_triad, 0.0)),
+        accel_bias=sensors.accel_bias + mean[ACCEL_BIAS],
+        accel_bias_sigma=np.sqrt(np.maximum(accel + apart * sensors.accel_triad, 0.0)),
         odometer=filter_.odometer.estimate(mean[ODOMETER], P[ODOMETER, ODOMETER]),
     )
 
 
-def carry_attitude(filter_: WanderFilter, C_nb: Array, turned: Array, ahead_s: float) -> Array:
+def carry_attitude(filter_: AidedFilter, C_nb: Array, turned: Array, ahead_s: float) -> Array:
     """C_nb some time after the last epoch.
 
     The biases, and the turning of ENU with the Earth and over it, are small angles.
@@ -72,7 +67,7 @@ def carry_attitude(filter_: WanderFilter, C_nb: Array, turned: Array, ahead_s: f
     navigation = filter_.navigation
     C_na = C_nb @ navigation.C_ab.T
     about_up = float(navigation.C_ab[2] @ unskew3(turned))
-    drift = filter_.gyro_bias * ahead_s + filter_.gyro_turn * about_up
+    drift = filter_.sensors.gyro_bias * ahead_s + filter_.sensors.gyro_turn * about_up
     w_in = C_na @ navigation.rate()
     # ENU wanders against a by v_E tan L / R.
     east = float(C_na[0] @ navigation.v_a)

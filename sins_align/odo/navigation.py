@@ -34,7 +34,7 @@ SECOND_ECCENTRICITY_SQUARED = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED
 class Course(NamedTuple):
     """What a navigation step went through; vectors in a at the start of the epoch.
 
-    C_start : (3, 3) C_ab at the start
+    C_start, v_start : (3, 3) C_ab, (3,) v_a at the start
     U, S : (3,) C_start u, C_start s [m/s], [m]
     path, area : (3,) int v dt, int int v dt dt, in a as it turns [m], [m s]
     w_ia, w_2 : (3,) rate of a against i, and that plus the Earth's rate [rad/s]
@@ -42,6 +42,7 @@ class Course(NamedTuple):
     """
 
     C_start: Array
+    v_start: Array
     U: Array
     S: Array
     path: Array
@@ -68,6 +69,11 @@ class WanderNavigation:
     def latitude(self) -> float:
         """Of the vertical part of the Earth's axis [rad]."""
         return math.asin(min(1.0, max(-1.0, float(self.e_a[2]))))
+
+    @property
+    def wander_angle(self) -> float:
+        """alpha of the horizontal part of the Earth's axis [rad]."""
+        return math.atan2(self.e_a[0], self.e_a[1])
 
     def transport_rate(self, v_a: Array, transverse: float) -> Array:
         """w_ea = up x (shape operator) v [rad/s].
@@ -106,13 +112,14 @@ class WanderNavigation:
         w_ia = w_ie + w_ea
         w_2 = w_ie + w_ia
         turned = cross3(w_ia, T * U - S)
-        v_a = self.v_a + U - turned - cross3(w_2, path)
+        v_start = self.v_a
+        v_a = v_start + U - turned - cross3(w_2, path)
         v_a[2] -= g * T
         path = path - (T * T / 6.0) * cross3(w_ia, U) - (0.5 * T) * cross3(w_2, path)
         # Of a parabola through path and change of velocity.
-        area = (0.5 * T) * path - (T * T / 12.0) * (v_a - self.v_a)
+        area = (0.5 * T) * path - (T * T / 12.0) * (v_a - v_start)
         self.C_ab = exp_rotation(-w_ia * T) @ C @ epoch.C_end
         self.v_a = v_a
         self.e_a = self.e_a - T * cross3(w_ea, self.e_a)
         self.altitude += float(path[2])
-        return Course(C, U, S, path, area, w_ia, w_2, transverse + self.altitude)
+        return Course(C, v_start, U, S, path, area, w_ia, w_2, transverse + self.altitude)

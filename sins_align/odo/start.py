@@ -17,8 +17,6 @@ from sins_align.types import Array, Position
 START_EPOCHS = 3
 # More are not kept: what came before a long silence is not waited for.
 MOST_EPOCHS = 30
-# `wander_ekf` starts with an azimuth known so well: from 10 deg on it is not linear enough.
-EKF_SIGMA = math.radians(3.0)
 # Least sigma of the levels at the start [rad]: they come of epochs that the filter takes in
 # again. Sigma of the velocity: absolute [m/s], and relative.
 LEVEL_SIGMA = 0.01
@@ -30,14 +28,16 @@ class Starter:
     """Collects epochs until the filter of the method can be made.
 
     `wander_kf` begins at the first epoch with an odometer, level, and takes in again the
-    epochs that told the levels. `wander_ekf` is linearised about an azimuth that has to be
-    found first: it begins where the coarse alignment knows it well enough.
+    epochs that told the levels. A filter that needs a heading begins where the coarse
+    alignment knows it well enough.
 
+    heading_sigma : 1 sigma of the heading that it needs [rad]; None: it needs none
     silent : epochs without odometer so far, before the first one with it
     """
 
-    def __init__(self, config: OdoConfig, position: Position) -> None:
+    def __init__(self, config: OdoConfig, position: Position, heading_sigma: float | None) -> None:
         self._config, self._position = config, position
+        self._heading_sigma = heading_sigma
         self.silent = 0
         self._begin()
 
@@ -61,14 +61,13 @@ class Starter:
             self._first = epoch
         self._coarse.quantum = quantum
         self._coarse.add(epoch, standing)
-        ekf = self._config.method == "wander_ekf"
-        if not ekf:
+        if self._heading_sigma is None:
             self._early.append(paired)
             if len(self._early) < START_EPOCHS:
                 return None
         coarse = self._coarse.attitude
-        if ekf:
-            if coarse is None or not coarse.covariance[2, 2] < EKF_SIGMA**2:
+        if self._heading_sigma is not None:
+            if coarse is None or not coarse.covariance[2, 2] < self._heading_sigma**2:
                 return None
             return self._start_at_end(coarse, epoch), []
         if coarse is not None:

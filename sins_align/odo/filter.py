@@ -1,0 +1,336 @@
+"""The skeleton of the aided filters: closed-loop Gaussian filters of one epoch after the other.
+
+An epoch carries the navigation on, and the errors' distribution with it; the displacement by
+the odometer, or that the vehicle stands, is compared with the navigation's; what is found of
+the errors is taken off the estimates, so that their mean is zero when the next epoch begins.
+What a filter adds is how mean and covariance pass through its error model: `_propagate`,
+`_expect`, `_correct`, and `posterior`, which says what it gives out.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sins_align.grades import ImuGrade
+from sins_align.odo.epoch import AidedEpoch
+from sins_align.odo.error_model import ErrorModel
+from sins_align.odo.fading import Fading, Innovation
+from sins_align.odo.guards import SOFT_LIMIT, inverse3, soften
+from sins_align.odo.imu_model import accel_variance, gap_noise, gyro_variances, imu_noise
+from sins_align.odo.layout import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    GYRO_TURN,
+    ODOMETER,
+    PHI,
+    SHARED,
+    VELOCITY,
+    path_of,
+)
+from sins_align.odo.navigation import Course, WanderNavigation
+from sins_align.odo.odometer_model import LEVER as ODO_LEVER
+from sins_align.odo.odometer_model import POSITION as ODO_POSITION
+from sins_align.odo.odometer_model import OdometerModel
+from sins_align.odo.standing import Standing
+from sins_align.rotation import exp_rotation, skew3, unskew3
+from sins_align.types import Array
+
+# The azimuth is known as well as the small-angle model needs it: its variance [rad^2].
+FINE_VARIANCE = 1e-5
+LEAST_COS_LATITUDE = 1e-6
+CONSISTENCY_MEMORY = 0.95  # per epoch
+MOST_INCONSISTENT = 20.0  # of one epoch
+# What happened in a longer gap is no error at the epoch's start, as which it is added: the
+# displacement of that epoch would be misread [s].
+LONG_GAP_S = 0.12
+# The navigation's path in an epoch of standing: how far it may be from nothing.
+STANDING_TOLERANCE = 0.01  # [m]
+STANDING_LIMIT = 25.0  # of its normalised square
+
+_EYE = np.eye(3)
+_ONE_AND_A_HALF = 1.5 * _EYE
+_ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
+_POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
+_GAP_INDEX = np.r_[PHI, VELOCITY]
+POSITION = slice(ODOMETER.start + ODO_POSITION.start, ODOMETER.start + ODO_POSITION.stop)
+
+
+class Forecast(NamedTuple):
+    """The errors at the end of an epoch, path included, before the measurement.
+
+    mean : (n + 3,); P : (n + 3, n + 3) covariance; Q : (n + 3, n + 3) what of it is new noise
+    """
+
+    mean: Array
+    P: Array
+    Q: Array
+
+
+class Expected(NamedTuple):
+    """What the errors let one expect of the measurement.
+
+    z : (3,) mean [m]; cross : (n + 3, 3) covariance of errors and measurement; S : (3, 3)
+    covariance of the measurement by the errors [m^2]
+    """
+
+    z: Array
+    cross: Array
+    S: Array
+
+
+class Posterior(NamedTuple):
+    """What a filter gives out after an epoch.
+
+    alpha : wander angle of a [rad]; mean : (n,) of the errors that is not fed back; P : (n, n)
+    heading : (3, n) of phi in a, its vertical part that of the heading, by the errors
+    """
+
+    alpha: float
+    mean: Array
+    P: Array
+    heading: Array
+
+
+@dataclass
+class SensorErrors:
+    """Estimated errors of the IMU, taken off its samples.
+
+    gyro_bias, accel_bias, gyro_turn : (3,) [rad/s], [m/s^2], [1]
+    accel_prior, accel_triad : (3,) prior variance of the accelerometers' biases, and what of it
+        are scale errors and misalignments [m^2/s^4]
+    """
+
+    gyro_bias: Array
+    accel_bias: Array
+    gyro_turn: Array
+    accel_prior: Array
+    accel_triad: Array
+
+
+class AidedFilter(ABC):
+    """State of a filter, from the start of an epoch on.
+
+    navigation, odometer, sensors : the estimates; P : (n, n) covariance of their errors
+    consistency : mean normalised innovation squared over its expectation, of late
+    nis, epochs : that of the last epoch measured, and how many epochs it has taken in
+
+    Parameters
+    ----------
+    size : number of states n
+    """
+
+    def __init__(
+        self,
+        size: int,
+        navigation: WanderNavigation,
+        odometer: OdometerModel,
+        sensors: SensorErrors,
+        grade: ImuGrade,
+        fading: Fading,
+    ) -> None:
+        self.navigation = navigation
+        self.odometer = odometer
+        self.sensors = sensors
+        self.P = np.zeros((size, size))
+        self.consistency = math.nan
+        self.nis = 0.0
+        self.epochs = 0
+        self._size, self._path = size, path_of(size)
+        self._model = ErrorModel(imu_noise(grade), size)
+        self._fading = fading
+
+    @property
+    def cos_latitude(self) -> float:
+        """Of the place that the Earth's axis tells."""
+        # At a pole, rounding carries the vertical part beyond 1.
+        square = max(1.0 - float(self.navigation.e_a[2]) ** 2, 0.0)
+        return max(math.sqrt(square), LEAST_COS_LATITUDE)
+
+    @property
+    @abstractmethod
+    def is_fine(self) -> bool:
+        """Whether the azimuth is known as well as the small-angle model needs it."""
+
+    @abstractmethod
+    def posterior(self) -> Posterior:
+        """What is known after the last epoch."""
+
+    @abstractmethod
+    def _axis(self) -> Array:
+        """(3, n - SHARED) error of the Earth's axis by the states that tell it."""
+
+    @abstractmethod
+    def _propagate(self, A: Array, course: Course) -> tuple[Array, Array]:
+        """Mean (n + 3,) and covariance of the errors at the end of an epoch, without its noise.
+
+        A : (n + 3, n) the error model's transition; the navigation is at the end already
+        """
+
+    @abstractmethod
+    def _expect(self, forecast: Forecast, H: Array, arm: Array) -> Expected:
+        """What to expect of the measurement.
+
+        H : (3, n + 3) the measurement by the errors, linear in phi; arm : (3,) what phi turns
+        """
+
+    @abstractmethod
+    def _correct(self, dx: Array) -> None:
+        """Take estimated errors (n,) off the estimates; `_correct_shared` helps."""
+
+    def bias(self, w_ib_b: Array) -> Array:
+        """(6,) what is to be taken off the samples of an epoch with the rates w_ib_b (3, n+1)."""
+        mean = w_ib_b[:, 1:].sum(axis=1) / (w_ib_b.shape[1] - 1)
+        rate = float(self.navigation.C_ab[2] @ mean)
+        sensors = self.sensors
+        return np.concatenate((sensors.gyro_bias + rate * sensors.gyro_turn, sensors.accel_bias))
+
+    def process(self, epoch: AidedEpoch, standing: Standing) -> bool:
+        """Take in an epoch; the biases must have been taken off its samples.
+
+        With neither travel nor standing, or with samples missing for long, the errors grow, and
+        nothing is measured. Returns whether it was taken as one of a vehicle that stands.
+        """
+        navigation, odometer = self.navigation, self.odometer
+        self.epochs += 1
+        C_start = navigation.C_ab
+        rate = float(C_start[2] @ unskew3(epoch.C_end)) / epoch.duration_s
+        position = C_start @ (odometer.C_bm @ odometer.x[ODO_POSITION])
+        course = navigation.advance(epoch)
+        axis = self._axis()
+        forecast = self._forecast(epoch, course, axis, rate)
+        stands = standing is Standing.ASSUMED or (
+            standing is Standing.POSSIBLE and self._may_stand(forecast.P, course.path - position)
+        )
+        axes = navigation.C_ab @ odometer.C_bm
+        self._add_position_noise(forecast, axes, odometer.position_sigma(stands) ** 2)
+        if not (stands or epoch.travel is not None) or epoch.gap_s >= LONG_GAP_S:
+            self.P = forecast.P[: self._size, : self._size].copy()
+            self._correct(forecast.mean[: self._size])
+            return stands
+        turn = course.w_ia * epoch.duration_s
+        seen = odometer.measure(epoch, C_start, navigation.C_ab, course.path, turn, stands)
+        H = self._model.within(epoch, course, axis, rate, odometer.x[ODO_LEVER])
+        H[:, PHI] = skew3(seen.arm)
+        H[:, ODOMETER] = seen.H
+        H[:, self._path] = _EYE
+        travel = None if stands else epoch.travel
+        innovation = self._update(
+            forecast, H, seen.R, seen.residual - position, seen.arm - position,
+            0.0 if travel is None else travel.distance,
+        )  # fmt: skip
+        if travel is not None:
+            odometer.adapt(axes, innovation.value, innovation.S + innovation.R)
+        return stands
+
+    def _forecast(self, epoch: AidedEpoch, course: Course, axis: Array, rate: float) -> Forecast:
+        """The errors at the end of the epoch, but for the position noise there."""
+        odometer, T = self.odometer, epoch.duration_s
+        factor, added = odometer.advance(T)
+        A = self._model.transition(epoch, course, axis, rate)
+        A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
+        A[self._path, POSITION] = -(course.C_start @ odometer.C_bm)
+        if epoch.gap_s > 0.0:
+            P = self.P.copy()
+            P[_GAP_INDEX, _GAP_INDEX] += gap_noise(epoch)
+            self.P = P
+        mean, P = self._propagate(A, course)
+        Q = self._model.noise(T).copy()
+        Q[_ODOMETER_INDEX, _ODOMETER_INDEX] += added
+        P += Q
+        return Forecast(mean, P, Q)
+
+    def _add_position_noise(self, forecast: Forecast, axes: Array, variance: Array) -> None:
+        """That of the odometer at the end of the epoch: a state, and a part of the path.
+
+        axes : (3, 3) C_am; variance : (3,) in m [m^2]
+        """
+        path = self._path
+        noise = axes * variance
+        for P in (forecast.P, forecast.Q):
+            P[_POSITION_INDEX, _POSITION_INDEX] += variance
+            P[path, POSITION] += noise
+            P[POSITION, path] += noise.T
+            P[path, path] += noise @ axes.T
+
+    def _may_stand(self, P: Array, path: Array) -> bool:
+        """Whether the navigation's path (3,) may be none at all [m]."""
+        S = P[self._path, self._path] + STANDING_TOLERANCE**2 * _EYE
+        return bool(path @ np.linalg.solve(S, path) < STANDING_LIMIT)
+
+    def _update(
+        self, forecast: Forecast, H: Array, R: Array, residual: Array, arm: Array, distance: float
+    ) -> Innovation:
+        """Take in a measurement, with the guards; feeds the errors back.
+
+        residual : (3,) what was measured, with noise R (3, 3); distance : travelled [m]
+        """
+        innovation, expected = self._compare(forecast, H, R, residual, arm)
+        inflated = self._fading.inflate(forecast.P, forecast.Q, innovation, distance)
+        if inflated is not None:
+            forecast = forecast._replace(P=inflated)
+            innovation, expected = self._compare(forecast, H, R, residual, arm)
+        value, inverse = innovation.value, innovation.inverse
+        nis = float(value @ inverse @ value)
+        if not math.isfinite(nis):
+            raise np.linalg.LinAlgError("the filter broke down")
+        self.nis = nis
+        self._note(nis)
+        if nis > SOFT_LIMIT:
+            inverse = inverse3(soften(expected.S, R, value, nis))
+        n = self._size
+        cross = expected.cross[:n]
+        gain = cross @ inverse
+        P = forecast.P[:n, :n] - gain @ cross.T
+        self.P = 0.5 * (P + P.T)
+        self._correct(forecast.mean[:n] + gain @ value)
+        return innovation
+
+    def _compare(
+        self, forecast: Forecast, H: Array, R: Array, residual: Array, arm: Array
+    ) -> tuple[Innovation, Expected]:
+        expected = self._expect(forecast, H, arm)
+        value, S = residual - expected.z, expected.S
+        return Innovation(value, S, R, inverse3(S + R), H), expected
+
+    def _note(self, nis: float) -> None:
+        # An outlier that has lost its weight must not stand for all that come after it.
+        share = min(nis / 3.0, MOST_INCONSISTENT)
+        if math.isnan(self.consistency):
+            self.consistency = share
+        self.consistency += (1.0 - CONSISTENCY_MEMORY) * (share - self.consistency)
+
+    def _correct_shared(self, dx: Array) -> None:
+        """Take the shared part of estimated errors (SHARED or more,) off the estimates."""
+        navigation, sensors = self.navigation, self.sensors
+        C = exp_rotation(dx[PHI]) @ navigation.C_ab
+        navigation.C_ab = C @ (_ONE_AND_A_HALF - 0.5 * (C.T @ C))  # stays orthogonal
+        navigation.v_a = navigation.v_a - dx[VELOCITY]
+        # These errors are what is left in the samples: true minus estimated.
+        sensors.gyro_bias = sensors.gyro_bias + dx[GYRO_BIAS]
+        sensors.accel_bias = sensors.accel_bias + dx[ACCEL_BIAS]
+        sensors.gyro_turn = sensors.gyro_turn + dx[GYRO_TURN]
+        self.odometer.x = self.odometer.x - dx[ODOMETER]
+
+
+def shared_prior(
+    grade: ImuGrade, up_b: Array, odometer: OdometerModel, level_sigma: float, velocity_sigma: float
+) -> tuple[Array, SensorErrors]:
+    """(SHARED,) variances at the start, and the sensors' errors: none are known.
+
+    Parameters
+    ----------
+    up_b : (3,) up in b; level_sigma, velocity_sigma : 1 sigma of the start [rad], [m/s]
+    """
+    variance = np.zeros(SHARED)
+    variance[PHI] = level_sigma**2, level_sigma**2, 0.0
+    variance[VELOCITY] = velocity_sigma**2
+    variance[GYRO_BIAS], variance[GYRO_TURN] = gyro_variances(grade, up_b)
+    variance[ACCEL_BIAS] = prior = accel_variance(grade, up_b)
+    variance[ODOMETER] = odometer.prior_variance()
+    none = np.zeros(3)
+    return variance, SensorErrors(none, none, none, prior, prior - grade.accel_bias**2)
