@@ -14,10 +14,11 @@ from evidence.checks import Check, upper
 from evidence.monte_carlo import misalignment, rms
 from sins_align import session
 from sins_align.config import OdoConfig, odo_config
-from sins_align.odo import wander
+from sins_align.odo import filter as odo_filter
 from sins_align.odo.aligner import OdoAligner
 from sins_align.odo.coarse import CoarseAttitude
 from sins_align.odo.epoch import AidedEpoch
+from sins_align.odo.filter import AidedFilter
 from sins_align.odo.knowledge import knowledge_of
 from sins_align.odo.pairing import Paired
 from sins_align.odo.start import Starter
@@ -59,7 +60,7 @@ class TurnedStarter(Starter):
     """Starts with the heading that it is told; heading : the true one [rad]."""
 
     def __init__(self, config: OdoConfig, position: Position, start: Start, heading: float) -> None:
-        super().__init__(config, position)
+        super().__init__(config, position, None)
         self._start, self._heading = start, heading + start.error_deg * DEG
 
     def _start_at_begin(self, coarse: CoarseAttitude, first: AidedEpoch) -> WanderFilter:
@@ -87,11 +88,11 @@ class RecordedAligner(OdoAligner):
         if start is not None:
             self._starter = TurnedStarter(config, position, start, heading)
 
-    def _is_stillborn(self, filter_: WanderFilter) -> bool:
+    def _is_stillborn(self, filter_: AidedFilter) -> bool:
         return not self._plain and super()._is_stillborn(filter_)
 
-    def _take_in(self, paired: Paired) -> Advance:
-        step = super()._take_in(paired)
+    def _take_in(self, paired: Paired, delay: float) -> Advance:
+        step = super()._take_in(paired, delay)
         filter_ = self._filter
         if filter_ is not None:
             known = knowledge_of(filter_)
@@ -190,7 +191,8 @@ def drive(
     heading = float(simulated.truth.heading_at(int(simulated.imu.stamp_ns[0])))
     recorded = RecordedSession(config, start, heading)
     plain = start is not None and start.sigma_deg is not None
-    with patch.object(wander, "SOFT_LIMIT", math.inf if plain else wander.SOFT_LIMIT):
+    limit = math.inf if plain else odo_filter.SOFT_LIMIT
+    with patch.object(odo_filter, "SOFT_LIMIT", limit):
         if not config.stationary:
             recorded.add_odometer(simulated.odometer)
         updates = recorded.add_imu(simulated.imu)

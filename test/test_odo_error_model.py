@@ -21,13 +21,12 @@ from sins_align.odo.error_model import ErrorModel, ImuNoise, white_noise
 from sins_align.odo.layout import (
     ACCEL_BIAS,
     AZIMUTH,
-    EXTENDED,
     GYRO_BIAS,
     GYRO_TURN,
-    PATH,
     PHI,
     SIZE,
     VELOCITY,
+    path_of,
 )
 from sins_align.odo.navigation import WanderNavigation
 from sins_align.odo.pairing import Paired
@@ -38,6 +37,8 @@ SEMI_MAJOR = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 E2 = FLATTENING * (2.0 - FLATTENING)
 
+PATH = path_of(SIZE)
+EXTENDED = PATH.stop
 DURATION = 1.0
 RATE_HZ = 200
 ALTITUDE = 200.0
@@ -256,8 +257,9 @@ def model(name: str, states: str = "two") -> Array:
     )
     navigation.e_a = manoeuvre.e_a
     course = navigation.advance(epoch)
-    basis = BASES[states](manoeuvre)
-    return ErrorModel(ImuNoise(0.0, 0.0, 0.0)).transition(epoch, course, basis, rate).copy()
+    axis = np.zeros((3, 2))
+    axis[:2] = BASES[states](manoeuvre)
+    return ErrorModel(ImuNoise(0.0, 0.0, 0.0), SIZE).transition(epoch, course, axis, rate).copy()
 
 
 def earth_axes(latitude: float, azimuth: float) -> Array:
@@ -485,7 +487,7 @@ def test_white_noise_of_the_propagation_itself() -> None:
 
 
 def test_noise_goes_where_it_belongs() -> None:
-    P = ErrorModel(NOISE).noise(0.9).copy()
+    P = ErrorModel(NOISE, SIZE).noise(0.9).copy()
     order = np.r_[PHI, VELOCITY, PATH]
     np.testing.assert_array_equal(P[np.ix_(order, order)], white_noise(NOISE, 0.9))
     walk = NOISE.gyro_walk**2 * 0.9 * np.eye(3)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from sins_align.config import OdometerConfig, odo_config
 from sins_align.grades import ImuGrade, load_grade
 from sins_align.odo.epoch import AidedEpoch, integrate_epoch
+from sins_align.odo.filter import FINE_VARIANCE
 from sins_align.odo.knowledge import knowledge_of
 from sins_align.odo.layout import (
     ACCEL_BIAS,
@@ -38,7 +39,7 @@ from sins_align.odo.odometer_model import (
 )
 from sins_align.odo.pairing import Paired
 from sins_align.odo.standing import Standing
-from sins_align.odo.wander import HAND_OVER_VARIANCE, WanderFilter
+from sins_align.odo.wander import WanderFilter
 from sins_align.simulate import VehicleOptions, VehicleRun, simulate_vehicle
 from sins_align.types import Array, ImuBlock, ImuSampling, Position
 
@@ -233,14 +234,14 @@ def left_over(name: str, filter_: WanderFilter) -> float:
     if name == "azimuth":
         alphas = [math.atan2(e[0], e[1]) for e in (navigation.e_a, truth.e_a)]
         return alphas[0] - alphas[1]
-    if index < AZIMUTH.stop:
+    if AZIMUTH.start <= index < AZIMUTH.stop:
         return float((navigation.e_a - truth.e_a)[index - AZIMUTH.start])
     if index < GYRO_BIAS.stop:
-        return float(filter_.gyro_bias[index - GYRO_BIAS.start])
+        return float(filter_.sensors.gyro_bias[index - GYRO_BIAS.start])
     if index < ACCEL_BIAS.stop:
-        return float(filter_.accel_bias[index - ACCEL_BIAS.start])
+        return float(filter_.sensors.accel_bias[index - ACCEL_BIAS.start])
     if index < GYRO_TURN.stop:
-        return float(filter_.gyro_turn[index - GYRO_TURN.start])
+        return float(filter_.sensors.gyro_turn[index - GYRO_TURN.start])
     return float(filter_.odometer.x[index - ODOMETER.start])
 
 
@@ -362,7 +363,7 @@ def test_start_azimuth_of_the_frame_does_not_matter(turn: float) -> None:
 def at_hand_over() -> tuple[WanderFilter, int]:
     """A filter with two azimuth states that are about to become one."""
     filter_ = make_filter(1.0)
-    limit = HAND_OVER_VARIANCE * math.cos(filter_.navigation.latitude) ** 2
+    limit = FINE_VARIANCE * math.cos(filter_.navigation.latitude) ** 2
     for second in range(170):
         run_filter(filter_, second, second + 1)
         if filter_.P[AZIMUTH, AZIMUTH].trace() < 2.0 * limit or filter_.one_azimuth:
@@ -394,7 +395,7 @@ def test_hand_over_leaves_what_is_given_out() -> None:
     """Attitude and its covariance before and after, from the very same filter."""
     filter_, _ = at_hand_over()
     assert not filter_.one_azimuth
-    before, biases = knowledge_of(filter_), filter_.gyro_bias.copy()
+    before, biases = knowledge_of(filter_), filter_.sensors.gyro_bias.copy()
     filter_._hand_over()
     assert filter_.one_azimuth
     after = knowledge_of(filter_)
@@ -403,7 +404,7 @@ def test_hand_over_leaves_what_is_given_out() -> None:
     scale = np.sqrt(before.covariance.diagonal())
     scale = np.outer(scale, scale)
     np.testing.assert_allclose(after.covariance / scale, before.covariance / scale, atol=1e-6)
-    assert np.abs(filter_.gyro_bias - biases).max() < FOG.gyro_bias
+    assert np.abs(filter_.sensors.gyro_bias - biases).max() < FOG.gyro_bias
 
 
 def test_covariance_of_the_attitude_is_that_of_its_errors() -> None:
