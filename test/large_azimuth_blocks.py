@@ -20,6 +20,7 @@ exact measurement, d = integral of dv since the epoch began (3).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -425,3 +426,40 @@ def odometer_z(x: Array, D: Array) -> Array:
     """z = d + (C_n'^n/(1 + dK) - I) D: nothing left out where attitude errors are constant."""
     U, phi_E, phi_N = x[ATTITUDE]
     return x[PATH] + misalignment(U, phi_E, phi_N).T @ D / (1.0 + x[SCALE][0]) - D
+
+
+# The filter's moments: (2), (40) to (57). `model` gives F (or H) and g (or h) for a value of U.
+
+
+def eq2_rule(count: int) -> tuple[Array, Array]:
+    """Nodes and weights for a standard normal variable."""
+    off = np.sqrt(np.arange(1, count) / 2.0)
+    values, vectors = np.linalg.eigh(np.diag(off, 1) + np.diag(off, -1))
+    return math.sqrt(2.0) * values, vectors[0] ** 2
+
+
+def eq40_57_moments(
+    model: Callable[[float], tuple[Array, Array]], mean: Array, P: Array, rule: tuple[Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Mean of y = F(U) x + g(U), its covariance, that of x with y. U is the first state.
+
+    theta = mean + S (u, 0), y = F theta + g, gamma = y y' + F N F', Omega = theta theta' + N
+    (40), (42): sum W y
+    (41), (43): sum W gamma - y_mean y_mean'        (+ Q or R)
+    (44): sum W (Omega F' + theta g') - mean y_mean'
+    Printed: W missing; x_k-1 x_k-1' and x x' taken off in (41), (43); transposes missing in (44),
+    (51).
+    """
+    S = np.linalg.cholesky(P)
+    N = S[:, 1:] @ S[:, 1:].T
+    size = len(model(mean[0])[1])
+    first, second = np.zeros(size), np.zeros((size, size))
+    cross = np.zeros((len(mean), size))
+    for u, W in zip(*rule, strict=True):
+        theta = mean + S[:, 0] * u
+        F, g = model(theta[0])
+        y = F @ theta + g
+        first += W * y
+        second += W * (np.outer(y, y) + F @ N @ F.T)
+        cross += W * ((np.outer(theta, theta) + N) @ F.T + np.outer(theta, g))
+    return first, second - np.outer(first, first), cross - np.outer(mean, first)

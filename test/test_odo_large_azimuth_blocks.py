@@ -587,6 +587,33 @@ def test_scale_is_not_positive(case: Case) -> None:
     assert relative(-blocks.eq39_H2_true(U, v)[:, None], by_K) > 1.99
 
 
+@pytest.mark.parametrize("sigma", [0.05, 0.5])
+def test_reduced_moments_are_those_of_all_dimensions(sigma: float) -> None:
+    """(40) to (57) of seven nodes in U against a product of seven nodes in each of four states."""
+    nodes, weights = rule = blocks.eq2_rule(7)
+    rng = np.random.default_rng(1)
+    mean = np.array([0.3, -0.1, 0.2, 0.4])
+    root = np.tril(rng.normal(size=(4, 4)))
+    root[0] = [sigma, 0.0, 0.0, 0.0]
+    F0, F1, F2 = rng.normal(size=(3, 3, 4))
+
+    def model(U: float) -> tuple[Array, Array]:
+        g = np.array([1.0 - math.cos(U), math.sin(U), U])
+        return F0 + math.cos(U) * F1 + math.sin(U) * F2, g
+
+    P = root @ root.T
+    S = np.linalg.cholesky(P)
+    x = np.stack([mean + S @ nodes[list(k)] for k in np.ndindex(7, 7, 7, 7)])
+    W = np.array([weights[list(k)].prod() for k in np.ndindex(7, 7, 7, 7)])
+    y = np.stack([F @ point + g for point in x for F, g in [model(point[0])]])
+    y_mean = W @ y
+    got = blocks.eq40_57_moments(model, mean, P, rule)
+    expected = y_mean, (y - y_mean).T * W @ (y - y_mean), (x - mean).T * W @ (y - y_mean)
+    assert weights.sum() == pytest.approx(1.0)
+    for one, other in zip(got, expected, strict=True):
+        assert np.abs(one - other).max() < 1e-11
+
+
 def test_azimuth_error_is_that_of_the_heading() -> None:
     """U > 0: the computed heading, clockwise from north, is too large."""
     case = next(iter(CASES.values()))
