@@ -17,6 +17,9 @@ POLE_REMEDY = "there is no heading at the pole: check latitude_deg"
 
 # Mean normalised innovation squared over its expectation: beyond this a sigma is not believed.
 MAX_CONSISTENCY = 2.0
+# Two estimates from the same data may differ by less than independent ones would: normalised square
+# of the difference over its expectation for such.
+MAX_DISAGREEMENT = 1.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
 
@@ -105,17 +108,31 @@ class Completer:
             level, threshold = max(east, north) / ARCSEC, level_threshold / ARCSEC
             missing.append(f'level sigma {level:.1f}" not below {threshold:g}"')
             remedies.append(self._level_remedy())
+        doubts = self._doubts(estimate)
+        if doubts:
+            missing += doubts
+            remedies.append(self._remedy)
+        return "; ".join(missing), "; ".join(dict.fromkeys(filter(None, remedies)))
+
+    def _doubts(self, estimate: Estimate) -> list[str]:
+        """Why sigma is not to be believed."""
+        doubts = []
         if estimate.consistency > MAX_CONSISTENCY:
-            missing.append(
+            doubts.append(
                 f"the innovations are {estimate.consistency:.1f} times what they should be"
             )
-            remedies.append(self._remedy)
+        witness = estimate.witness
+        if witness is not None and not witness.square <= MAX_DISAGREEMENT:
+            heading, ratio = abs(float(witness.phi[2])) / ARCMIN, math.sqrt(witness.square)
+            doubts.append(
+                f"{witness.name} beside it differs by {heading:.1f}' in heading, in all by"
+                f" {ratio:.1f} of the sigma of both"
+            )
         for what, found, declared in self._beyond(estimate):
             if declared > 0.0 and found > MAX_BIAS_RATIO * declared:
                 ratio = found / declared
-                missing.append(f"the estimated {what} is {ratio:.1f} times what is declared")
-                remedies.append(self._remedy)
-        return "; ".join(missing), "; ".join(dict.fromkeys(filter(None, remedies)))
+                doubts.append(f"the estimated {what} is {ratio:.1f} times what is declared")
+        return doubts
 
     def _beyond(self, estimate: Estimate) -> list[tuple[str, float, float]]:
         """Estimates and what is declared of them, 1 sigma."""

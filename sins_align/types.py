@@ -125,21 +125,17 @@ class OdometerEstimate:
 
 
 class Witness(NamedTuple):
-    """Another estimate of the same attitude.
+    """Another estimate of the same attitude, from the same data.
 
     name : of the method
     phi : (3,) misalignment of the estimate against it, axes east, north, up [rad]
-    covariance : (3, 3) sum of those of both [rad^2]
+    square : normalised square of phi, by the covariances of both, over its expectation for
+        two that are independent
     """
 
     name: str
     phi: Array
-    covariance: Array
-
-    @property
-    def square(self) -> float:
-        """Normalised square of phi over its expectation, were the two independent."""
-        return float(self.phi @ np.linalg.solve(self.covariance, self.phi)) / 3.0
+    square: float
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import pytest
 
 from sins_align.config import Completion
 from sins_align.status import POLE_REMEDY, Completer, Declared
-from sins_align.types import Advance, Estimate, OdometerEstimate, State, Status
+from sins_align.types import Advance, Estimate, OdometerEstimate, State, Status, Witness
 from sins_align.units import ARCMIN, ARCSEC
 
 HEADING, LEVEL, HOLD_S = 6.0 * ARCMIN, 30.0 * ARCSEC, 10.0
@@ -192,3 +192,18 @@ def test_a_scale_error_beyond_the_declared_one_is_not_aligned() -> None:
     status = status_of(found, declared=Declared(odometer_scale=0.02))
     assert status.state is not State.ALIGNED and "scale error is 15.0 times" in status.reason
     assert status_of(found, declared=Declared(odometer_scale=0.1)).state is State.ALIGNED
+
+
+@pytest.mark.parametrize("square", [1.1, 100.0, math.nan])
+def test_a_witness_that_says_otherwise(square: float) -> None:
+    """Two filters on the same data that differ as if they were independent: one of them lies."""
+    phi = np.array([0.0, 0.0, -4.0 * ARCMIN])
+    found = dataclasses.replace(estimate(), witness=Witness("wander_kf", phi, square))
+    status = status_of(found)
+    assert status.state is State.FINE
+    assert "wander_kf beside it differs by 4.0' in heading" in status.reason
+
+
+def test_a_witness_that_agrees() -> None:
+    witness = Witness("wander_kf", np.array([0.0, 0.0, 4.0 * ARCMIN]), 0.9)
+    assert status_of(dataclasses.replace(estimate(), witness=witness)).state is State.ALIGNED

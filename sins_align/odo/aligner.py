@@ -269,5 +269,6 @@ class OdoAligner:
 
 def _compare(own: Knowledge, other: Knowledge) -> Witness:
     """The wander filter's attitude against the one that is given out."""
-    phi = log_rotation(own.C_nb @ other.C_nb.T)
-    return Witness("wander_kf", -phi, own.covariance + other.covariance)
+    phi = -log_rotation(own.C_nb @ other.C_nb.T)
+    square = phi @ np.linalg.solve(own.covariance + other.covariance, phi)
+    return Witness("wander_kf", phi, float(square) / 3.0)
