@@ -88,6 +88,7 @@ class OdoAligner:
         # The wander filter comes first; one with a large azimuth error follows, if asked for.
         self._wander: WanderFilter | None = None
         self._large: LargeAzimuthFilter | None = None
+        self._known: Knowledge | None = None  # of the filter that is given out
         self._witness: Witness | None = None
 
     @property
@@ -140,6 +141,9 @@ class OdoAligner:
             self._begin()
             self._begun_anew += 1
         self._follow()
+        self._known = None if self._filter is None else knowledge_of(self._filter)
+        if self._known is not None and self._large is not None and self._wander is not None:
+            self._witness = _compare(self._known, knowledge_of(self._wander))
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
             return Advance(stamp_ns, None, *self._why_not())
@@ -175,20 +179,19 @@ class OdoAligner:
         return epoch._replace(travel=epoch.travel.later(own - delay))
 
     def _follow(self) -> None:
-        """Start the filter with a large azimuth error; compare it with its witness."""
+        """Start the filter with a large azimuth error, once the azimuth is known well enough."""
         wander = self._wander
-        if wander is None or self._is_polar or not has_large_azimuth(self._config):
+        if wander is None or self._large is not None or self._is_polar:
             return
-        if self._large is None:
-            if not has_witness(self._config):
-                self._large, self._wander = make_large_azimuth_filter(self._config, wander), None
-            elif self._can_start(wander):
-                self._large = make_large_azimuth_filter(self._config, wander)
-        elif wander is not None:
-            self._witness = _compare(knowledge_of(self._large), knowledge_of(wander))
+        if not has_large_azimuth(self._config):
+            return
+        if not has_witness(self._config):
+            self._large, self._wander = make_large_azimuth_filter(self._config, wander), None
+        elif self._can_start(wander):
+            self._large = make_large_azimuth_filter(self._config, wander)
 
     def _can_start(self, wander: WanderFilter) -> bool:
-        """Whether the azimuth is known well enough for the model of ENU."""
+        """Whether the model of ENU is right for what is known, and that to be believed."""
         variance = float(knowledge_of(wander).covariance[2, 2])
         least = start_sigma(self._config.odometer) ** 2
         return variance < least and wander.consistency <= PUBLISH_CONSISTENCY
@@ -204,7 +207,8 @@ class OdoAligner:
             # The first epoch is never whole: that alone means nothing.
             silent = self._starter.silent > 2
             return (SILENT, SILENT_REMEDY) if silent else ("", "")
-        sigma = math.degrees(math.sqrt(knowledge_of(self._filter).covariance[2, 2]))
+        assert self._known is not None
+        sigma = math.degrees(math.sqrt(self._known.covariance[2, 2]))
         reason = f"heading sigma {sigma:.0f} deg, not below {math.degrees(PUBLISH_SIGMA):.0f}"
         if self._filter.consistency > PUBLISH_CONSISTENCY:
             ratio = self._filter.consistency
@@ -228,10 +232,9 @@ class OdoAligner:
         return self.propagate(block)
 
     def _estimate_at(self, stamp_ns: int, block: ImuBlock | None = None) -> Estimate | None:
-        filter_ = self._filter
-        if filter_ is None or self._is_polar:
+        filter_, knowledge = self._filter, self._known
+        if filter_ is None or knowledge is None or self._is_polar:
             return None
-        knowledge = knowledge_of(filter_)
         C_nb, covariance = knowledge.C_nb, knowledge.covariance
         if not covariance[2, 2] < PUBLISH_SIGMA**2:
             return None

@@ -83,10 +83,11 @@ class StateGivenU:
 class MeasurementGivenU:
     """z = H(U) x + h(U), the navigation's displacement minus the odometer's.
 
-    z = int dv dt + (I - Rz(U)') D + Rz(U)' (D x phi_l + ...), with D what turns with phi; the
-    exact form of (38), (39). Fulfils `ConditionallyLinear`.
+    z = int dv dt + (I - Rz(U)') a + Rz(U)' (a x phi_l + ...), with a what turns with phi, which
+    is minus the odometer's displacement but for the lever arm; the exact form of (38), (39).
+    Fulfils `ConditionallyLinear`.
 
-    H : (3, n + 3) by the errors in the axes of the computed navigation; arm : (3,) D [m]
+    H : (3, n + 3) by the errors in the axes of the computed navigation; arm : (3,) a [m]
     """
 
     H: Array
