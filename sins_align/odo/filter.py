@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,14 +20,13 @@ from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ErrorModel
 from sins_align.odo.fading import Fading, Innovation
 from sins_align.odo.guards import SOFT_LIMIT, inverse3, soften
-from sins_align.odo.imu_model import accel_variance, gap_noise, gyro_variances, imu_noise
+from sins_align.odo.imu_model import gap_noise, imu_noise
 from sins_align.odo.layout import (
     ACCEL_BIAS,
     GYRO_BIAS,
     GYRO_TURN,
     ODOMETER,
     PHI,
-    SHARED,
     VELOCITY,
     path_of,
 )
@@ -36,6 +34,7 @@ from sins_align.odo.navigation import Course, WanderNavigation
 from sins_align.odo.odometer_model import LEVER as ODO_LEVER
 from sins_align.odo.odometer_model import POSITION as ODO_POSITION
 from sins_align.odo.odometer_model import OdometerModel
+from sins_align.odo.prior import SensorErrors
 from sins_align.odo.standing import Standing
 from sins_align.rotation import exp_rotation, skew3, unskew3
 from sins_align.types import Array
@@ -94,22 +93,6 @@ class Posterior(NamedTuple):
     mean: Array
     P: Array
     heading: Array
-
-
-@dataclass
-class SensorErrors:
-    """Estimated errors of the IMU, taken off its samples.
-
-    gyro_bias, accel_bias, gyro_turn : (3,) [rad/s], [m/s^2], [1]
-    accel_prior, accel_triad : (3,) prior variance of the accelerometers' biases, and what of it
-        are scale errors and misalignments [m^2/s^4]
-    """
-
-    gyro_bias: Array
-    accel_bias: Array
-    gyro_turn: Array
-    accel_prior: Array
-    accel_triad: Array
 
 
 class AidedFilter(ABC):
@@ -315,22 +298,3 @@ class AidedFilter(ABC):
         sensors.accel_bias = sensors.accel_bias + dx[ACCEL_BIAS]
         sensors.gyro_turn = sensors.gyro_turn + dx[GYRO_TURN]
         self.odometer.x = self.odometer.x - dx[ODOMETER]
-
-
-def shared_prior(
-    grade: ImuGrade, up_b: Array, odometer: OdometerModel, level_sigma: float, velocity_sigma: float
-) -> tuple[Array, SensorErrors]:
-    """(SHARED,) variances at the start, and the sensors' errors: none are known.
-
-    Parameters
-    ----------
-    up_b : (3,) up in b; level_sigma, velocity_sigma : 1 sigma of the start [rad], [m/s]
-    """
-    variance = np.zeros(SHARED)
-    variance[PHI] = level_sigma**2, level_sigma**2, 0.0
-    variance[VELOCITY] = velocity_sigma**2
-    variance[GYRO_BIAS], variance[GYRO_TURN] = gyro_variances(grade, up_b)
-    variance[ACCEL_BIAS] = prior = accel_variance(grade, up_b)
-    variance[ODOMETER] = odometer.prior_variance()
-    none = np.zeros(3)
-    return variance, SensorErrors(none, none, none, prior, prior - grade.accel_bias**2)

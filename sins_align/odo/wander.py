@@ -23,11 +23,11 @@ from sins_align.odo.filter import (
     Expected,
     Forecast,
     Posterior,
-    shared_prior,
 )
 from sins_align.odo.layout import ALPHA, AZIMUTH, PHI, SIZE
 from sins_align.odo.navigation import Course, WanderNavigation
 from sins_align.odo.odometer_model import OdometerModel
+from sins_align.odo.prior import shared_prior
 from sins_align.odo.standing import Standing
 from sins_align.types import Array
 
