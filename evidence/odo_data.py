@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evidence.checks import Case, Cases, Check, upper
-from evidence.odo_runs import Moment, RecordedSession, false_claims
+from evidence.odo_recording import Moment, RecordedSession
+from evidence.odo_runs import false_claims
 from sins_align.config import OdoConfig, odo_config
 from sins_align.config_path import shipped_config
 from sins_align.parameters import read_parameter_file
@@ -89,7 +90,7 @@ def _place(position: Position) -> Mapping[str, Any]:
     }
 
 
-def align(data: Recording, config: OdoConfig) -> tuple[RecordedSession, list[Update]]:
+def align_recording(data: Recording, config: OdoConfig) -> tuple[RecordedSession, list[Update]]:
     """All of it through the session."""
     session = RecordedSession(config)
     updates = [] if config.stationary else session.add_odometer(data.odometer)
@@ -118,19 +119,19 @@ def recordings(seeds: int) -> Cases:
     """Real data: kingston_a with the shipped settings, lasergyro_a without an odometer."""
     del seeds
     if DATA.is_dir():
-        yield from _kingston()
-        yield _lasergyro()
+        for method in ("wander_kf", "sghf"):
+            yield from _kingston(method)
+            yield _lasergyro(method)
     else:
         yield Case(f"skipped: there is no {DATA}", 0, [], [])
 
 
-def _kingston() -> Cases:
+def _kingston(method: str) -> Cases:
     whole = read_recording(KINGSTON)
-    ends = []
     for start_s in STARTS_S:
         data = window(whole, start_s, WINDOW_S)
-        config = kingston_config(whole.position)
-        session, updates = align(data, config)
+        config = kingston_config(whole.position, method=method)
+        session, updates = align_recording(data, config)
         moments = session.moments
         stamps = np.array([m.stamp_ns for m in moments])
         time_s = (stamps - int(data.imu.stamp_ns[0])) * 1e-9
@@ -138,9 +139,8 @@ def _kingston() -> Cases:
         error = wrap(headings - kingston_heading(stamps)) / DEG
         sigma = np.array([math.sqrt(m.covariance[2, 2]) for m in moments]) / DEG
         fine = (sigma < 2.0) & np.array([m.published for m in moments])
-        ends.append(error[-1])
-        strict, strict_updates = align(data, kingston_config(
-            whole.position, heading_threshold_arcmin=30.0))  # fmt: skip
+        strict, strict_updates = align_recording(data, kingston_config(
+            whole.position, method=method, heading_threshold_arcmin=30.0))  # fmt: skip
         wrong = false_claims(updates, config) + false_claims(strict_updates, strict.config)
         ratio = np.abs(error / sigma)[fine].max() if fine.any() else 0.0
         scale, scale_sigma = moments[-1].scale
@@ -162,12 +162,13 @@ def _kingston() -> Cases:
             Check("scale error [%]", 100.0 * scale, -1.5, -0.5),
             upper("claims of alignment above the threshold", wrong, 0.0),
         ]
-        yield Case(f"kingston_a from {start_s} s", 1, lines, checks)
+        yield Case(f"{method}, kingston_a from {start_s} s", 1, lines, checks)
 
 
-def _lasergyro() -> Case:
+def _lasergyro(method: str) -> Case:
     data = read_recording(LASERGYRO)
-    session, updates = align(data, lasergyro_config(data.position))
+    config = lasergyro_config(data.position, method=method)
+    session, updates = align_recording(data, config)
     moments = session.moments
     lines, checks = [], []
     for t in (30, 60, 120, 180, 300, 540):
@@ -185,9 +186,9 @@ def _lasergyro() -> Case:
                 upper("heading error at 300 s [']", error, 6.0),
                 upper("heading error at 300 s / sigma", error / sigma, 3.0),
             ]
-    wrong = false_claims(updates, lasergyro_config(data.position))
+    wrong = false_claims(updates, config)
     checks.append(upper("claims of alignment above the threshold", wrong, 0.0))
-    return Case("lasergyro_a, aiding: stationary", 1, lines, checks)
+    return Case(f"{method}, lasergyro_a, aiding: stationary", 1, lines, checks)
 
 
 SECTIONS = (recordings,)

@@ -20,7 +20,9 @@ import numpy as np
 
 from evidence.checks import Case, Cases, Check, upper
 from evidence.monte_carlo import every_seed, rms
-from evidence.odo_runs import Drive, Start, below_since, divergence, drive, heading_errors, rows
+from evidence.odo_figures import below_since, divergence, heading_errors, rows
+from evidence.odo_recording import Start
+from evidence.odo_runs import Drive, drive
 from sins_align.simulate import VehicleOptions
 from sins_align.types import Array
 from sins_align.units import ARCMIN
@@ -45,7 +47,8 @@ def _ekf(error_deg: float) -> Start:
 
 
 def _runs(options: VehicleOptions, seeds: int, start: Start | None = None) -> list[Drive]:
-    return every_seed(drive, options, range(seeds), None, start)
+    method = "wander_kf" if start is None or start.sigma_deg is None else "wander_ekf"
+    return every_seed(drive, options, range(seeds), {"method": method}, start)
 
 
 def _curve(name: str, values: Array, unit: str = "'") -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +13,12 @@ import pytest
 
 from evidence import odo, odo_data, odo_paper, swing
 from evidence.checks import Check, upper
-from evidence.odo_runs import (
-    Start,
-    below_since,
-    divergence,
-    drive,
-    false_claims,
-    heading_errors,
-    make_config,
-    nees,
-    rows,
-)
+from evidence.odo_figures import below_since, divergence, heading_errors, nees, rows
+from evidence.odo_recording import RecordedSession, Start
+from evidence.odo_runs import drive, every_drive, false_claims, make_config
+from sins_align.rotation import dcm_from_quaternion
 from sins_align.session import Update
-from sins_align.simulate import VehicleOptions
+from sins_align.simulate import VehicleOptions, simulate_vehicle
 from sins_align.types import Estimate, State, Status
 from sins_align.units import ARCMIN
 
@@ -73,7 +67,8 @@ def test_claims_above_the_threshold_are_seen() -> None:
 def test_a_drive_second_by_second() -> None:
     """From a wrong heading, which is gone; before the filter begins there is nothing."""
     options = VehicleOptions(scenario="static", rate_hz=50.0, duration_s=40.0)
-    drives = [drive(options, None, Start(-125.0)), drive(options)]
+    wander = {"method": "wander_kf"}
+    drives = [drive(options, wander, Start(-125.0)), drive(options, wander)]
     errors = heading_errors(drives)
     assert errors.shape == (2, 41)
     assert np.isnan(errors[:, 0]).all()
@@ -82,9 +77,48 @@ def test_a_drive_second_by_second() -> None:
     assert all(check.kept for check in divergence(drives))
     assert len(rows(drives, (30, 40, 600))) == 4
     assert drives[0].scale_error[-1] == pytest.approx(drives[1].scale_error[-1])
+    assert drives[0].aligned_s == math.inf
     # The paper's filter begins with the heading that it is given, and believes it so far.
-    wrong = drive(options, None, Start(-60.0, 0.1))
+    wrong = drive(options, wander, Start(-60.0, 0.1))
     assert wrong.phi[5, 2] / ARCMIN == pytest.approx(-3600.0, abs=30.0)
+
+
+@pytest.mark.parametrize("method", ["sghf", "wander_kf"])
+def test_moments_are_what_is_given_out(method: str) -> None:
+    """Each update's estimate is its moment's, whichever filter has come to be in charge."""
+    options = VehicleOptions(scenario="ring", rate_hz=50.0, duration_s=110.0)
+    simulated = simulate_vehicle(options)
+    recorded = RecordedSession(make_config(options, {"method": method}))
+    recorded.add_odometer(simulated.odometer)
+    updates = recorded.add_imu(simulated.imu)
+    assert [m.stamp_ns for m in recorded.moments] == [u.stamp_ns for u in updates][
+        -len(recorded.moments) :
+    ]
+    shown = [u.estimate for u in updates if u.estimate is not None]
+    moments = [m for m in recorded.moments if m.published]
+    assert len(shown) == len(moments) > 30
+    for estimate, moment in zip(shown, moments, strict=True):
+        assert (estimate.misalignment_covariance == moment.covariance).all()
+        assert dcm_from_quaternion(estimate.q_nb) == pytest.approx(moment.C_nb, abs=1e-12)
+        assert (estimate.gyro_bias == moment.gyro_bias).all()
+        assert (estimate.accel_bias == moment.accel_bias).all()
+        assert estimate.odometer is not None
+        assert estimate.odometer.scale_error == moment.scale[0]
+    assert {m.is_large for m in moments[-30:]} == {method == "sghf"}
+    last = recorded.moments[-1]
+    v_n = simulated.truth.v_n_at(last.stamp_ns)
+    assert np.abs(v_n).max() > 2.0
+    assert last.velocity == pytest.approx(v_n, abs=0.3)
+
+
+def test_each_of_the_settings_has_the_drives_that_it_would_have_alone() -> None:
+    options = VehicleOptions(scenario="ring", rate_hz=50.0, duration_s=70.0)
+    settings = {name: {"method": name} for name in ("wander_kf", "wander_ekf")}
+    runs = every_drive(options, settings, 2)
+    assert [d.seed for d in runs["wander_ekf"]] == [0, 1]
+    for name, parameters in settings.items():
+        alone = drive(replace(options, seed=1), parameters)
+        np.testing.assert_array_equal(runs[name][1].phi, alone.phi)
 
 
 def test_sections_have_names_of_their_own_and_say_what_they_are() -> None:
