@@ -50,6 +50,8 @@ LONG_GAP_S = 0.12
 # The navigation's path in an epoch of standing: how far it may be from nothing.
 STANDING_TOLERANCE = 0.01  # [m]
 STANDING_LIMIT = 25.0  # of its normalised square
+# No variance of what is estimated here is as large, in any unit.
+MOST_VARIANCE = 1e12
 
 _EYE = np.eye(3)
 _ONE_AND_A_HALF = 1.5 * _EYE
@@ -211,7 +213,12 @@ class AidedFilter(ABC):
         return stands
 
     def _forecast(self, epoch: AidedEpoch, course: Course, axis: Array, rate: float) -> Forecast:
-        """The errors at the end of the epoch, but for the position noise there."""
+        """The errors at the end of the epoch, but for the position noise there.
+
+        Raises
+        ------
+        LinAlgError : the covariance has grown without bound, as it may by a published fading
+        """
         odometer, T = self.odometer, epoch.duration_s
         factor, added = odometer.advance(T)
         A = self._model.transition(epoch, course, axis, rate)
@@ -225,6 +232,8 @@ class AidedFilter(ABC):
         Q = self._model.noise(T).copy()
         Q[_ODOMETER_INDEX, _ODOMETER_INDEX] += added
         P += Q
+        if not P.diagonal().max() < MOST_VARIANCE:
+            raise np.linalg.LinAlgError("the filter broke down: its covariance is without bound")
         return Forecast(mean, P, Q)
 
     def _add_position_noise(self, forecast: Forecast, axes: Array, variance: Array) -> None:
