@@ -38,6 +38,7 @@ class Drive:
     published : (T,) whether there was an estimate for the user
     consistency : (T,)
     is_large : (T,) whether the filter is one of the large-azimuth model
+    aligned : (T,) whether it was called so
     status : at the end; false_claims: updates that claimed more than their sigma says
     aligned_s : when it was aligned for the first time [s]; infinity: never
     """
@@ -55,6 +56,7 @@ class Drive:
     published: Array
     consistency: Array
     is_large: Array
+    aligned: Array
     status: Status
     false_claims: int
     aligned_s: float
@@ -124,10 +126,19 @@ def align(simulated: VehicleRun, parameters: Parameters, start: Start | None = N
     return Drive(
         simulated.options.seed,
         *_tabulate(simulated, recorded.moments),
+        _aligned(simulated.options, updates),
         recorded.status,
         false_claims(updates, config),
         aligned_s,
     )
+
+
+def _aligned(options: VehicleOptions, updates: Sequence[Update]) -> Array:
+    table = np.zeros(round(options.duration_s) + 1, dtype=bool)
+    for update in updates:
+        second = round((update.stamp_ns - options.start_stamp_ns) * 1e-9)
+        table[second:] = update.status.state is State.ALIGNED
+    return table
 
 
 def _tabulate(simulated: VehicleRun, moments: Sequence[Moment]) -> list[Array]:

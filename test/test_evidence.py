@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evidence import odo, odo_data, odo_paper, swing
+from evidence import odo, odo_data, odo_methods, odo_paper, swing
 from evidence.checks import Check, upper
 from evidence.odo_figures import below_since, divergence, heading_errors, nees, rows
 from evidence.odo_recording import RecordedSession, Start
@@ -23,7 +23,13 @@ from sins_align.types import Estimate, State, Status
 from sins_align.units import ARCMIN
 
 RUN = Path(__file__).resolve().parent.parent / "evidence" / "run.py"
-SECTIONS = (*swing.SECTIONS, *odo.SECTIONS, *odo_paper.SECTIONS, *odo_data.SECTIONS)
+SECTIONS = (
+    *swing.SECTIONS,
+    *odo.SECTIONS,
+    *odo_methods.SECTIONS,
+    *odo_paper.SECTIONS,
+    *odo_data.SECTIONS,
+)
 
 
 @pytest.mark.parametrize(
