@@ -10,7 +10,7 @@ import numpy as np
 from evidence.checks import Case, Cases, Check, upper
 from evidence.monte_carlo import every_seed, rms
 from evidence.odo_figures import divergence, heading_errors, nees, ratios
-from evidence.odo_paper_sghf import paper_cases
+from evidence.odo_paper_sghf import figures, table_1
 from evidence.odo_recording import Start
 from evidence.odo_runs import Drive, Parameters, drive, every_drive
 from sins_align.parameter_table import LARGE_AZIMUTH_METHODS, WANDER_METHODS
@@ -36,7 +36,7 @@ def table(runs: Mapping[str, Sequence[Drive]], times_s: Sequence[int] = TIMES_S)
         levels = rms(np.array([d.phi[600, :2] for d in drives])) / ARCMIN
         scale = 100.0 * np.array([d.scale_error[600] for d in drives])
         shown = np.array([d.published for d in drives]) == 1.0
-        believed = np.abs(error)[np.array([d.aligned for d in drives])]
+        believed = np.abs(error)[np.array([d.aligned for d in drives]) & shown]
         aligned = np.array([d.aligned_s for d in drives])
         large = np.array([d.is_large for d in drives]) == 1.0
         begun = large[large.any(axis=1)].argmax(axis=1)
@@ -73,8 +73,11 @@ def methods(seeds: int) -> Cases:
                 for check in divergence(runs[name])
             ]
             yield Case(f"all methods, {scenario}, {grade}", seeds, table(runs), checks)
-            if (scenario, grade) == ("ring", "paper_odo"):
-                yield from paper_cases(runs, seeds)
+            if grade == "paper_odo":
+                if scenario == "ring":
+                    yield table_1(runs, seeds)
+                for coarse in ("inertial", "wander"):
+                    yield figures(scenario, coarse, runs[f"sghf, {coarse}"])
 
 
 def nodes(seeds: int) -> Cases:
@@ -129,17 +132,13 @@ def fading(seeds: int) -> Cases:
 
 
 def start_errors(seeds: int) -> Cases:
-    """On the ring from a heading wrong by so much, which is also its sigma, without any help.
-
-    No coarse alignment of the heading, no soft weighting, no new beginning: how far the filters'
-    own equations reach. Their range is why they start from wander_kf.
-    """
+    """On the ring from a heading wrong by so much, its sigma: without coarse heading and guards."""
+    # How far the filters' own equations reach; it is why they start from wander_kf.
     settings: dict[str, Parameters] = {
         method: {"method": method, "coarse": "inertial", "gauss_hermite_nodes": 7}
         for method in ("ghf", "ckf", "ekf")
     }
-    lines = []
-    checks = []
+    lines, checks = [], []
     for error_deg in (5.0, 30.0, 60.0):
         start = Start(error_deg, error_deg)
         for method, parameters in settings.items():
