@@ -359,11 +359,11 @@ def test_fading_that_never_fires_is_none(fading: type[Fading]) -> None:
 # -- covariance
 
 
-def faulty(second: int) -> tuple[Faults, bool, Standing]:
-    """What is wrong in this second: slips, a bias, silence; and whether it is taken as standing."""
+def faulty(second: int) -> tuple[Faults, bool]:
+    """What is wrong in this second: a slip, a bias; and whether the odometer is silent."""
     scale = 0.5 if second % 17 == 3 else 0.0
     accel = np.array([0.05, 0.0, 0.0]) if second % 23 == 5 else np.zeros(3)
-    return Faults(accel=accel, scale=scale), second % 11 == 7, Standing.NO
+    return Faults(accel=accel, scale=scale), second % 11 == 7
 
 
 @every_method
@@ -372,11 +372,11 @@ def test_covariance_stays_one(method: str) -> None:
     wander, second = at_start()
     filter_ = follow(wander, method)
     for k in range(second, 178):
-        faults, silent, standing = faulty(k)
+        faults, silent = faulty(k)
         epoch = epoch_at(k, faults)
         if silent:
             epoch = epoch._replace(travel=None)
-        filter_.process(epoch, standing)
+        filter_.process(epoch, Standing.NO)
         sigma = np.sqrt(filter_.P.diagonal())
         correlation = filter_.P / np.outer(sigma, sigma)
         # Exactly, but for the turn at the end: two products.

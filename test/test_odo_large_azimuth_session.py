@@ -139,7 +139,7 @@ def test_without_a_witness(parameters: dict[str, Any]) -> None:
 
 
 def test_the_wander_filter_is_given_out_until_the_other_one_starts() -> None:
-    """Its estimates, bit for bit."""
+    """And its own estimate is the last before, but for rounding."""
     _, updates, _ = driven("figure8", 1, method="sghf")
     beside = {u.stamp_ns: u for u in driven("figure8", 1, method="wander_kf")[1]}
     before = [e for e in estimates(updates) if e.witness is None]
@@ -147,7 +147,6 @@ def test_the_wander_filter_is_given_out_until_the_other_one_starts() -> None:
     for estimate in before:
         other = beside[estimate.stamp_ns].estimate
         assert other is not None
-        # The filter that starts gives out what the other one did, but for rounding.
         np.testing.assert_allclose(estimate.q_nb, other.q_nb, atol=1e-9)
         np.testing.assert_allclose(
             estimate.misalignment_covariance, other.misalignment_covariance, rtol=1e-6, atol=1e-15
