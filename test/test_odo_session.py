@@ -22,7 +22,7 @@ from evidence.odo_data import (
     KINGSTON,
     LASERGYRO,
     LASERGYRO_HEADING_DEG,
-    align,
+    align_recording,
     heading_of,
     kingston_config,
     kingston_heading,
@@ -31,7 +31,9 @@ from evidence.odo_data import (
     window,
     wrap,
 )
-from evidence.odo_runs import Drive, Start, drive, heading_errors, make_config
+from evidence.odo_figures import heading_errors
+from evidence.odo_recording import Start
+from evidence.odo_runs import Drive, drive, make_config
 from sins_align.config import OdoConfig
 from sins_align.limits import heading_limit
 from sins_align.odo.standing import StandingDetector
@@ -127,7 +129,7 @@ def assert_honest(drives: Sequence[Drive], at_s: int, margin: float = 2.5) -> No
 def test_heading(scenario: str, times_s: tuple[int, int], bounds: tuple[float, float]) -> None:
     """Below a degree, then near its floor; no heading is known, or needed, to begin with."""
     drives = [
-        drive(VehicleOptions(scenario=scenario, seed=k, rate_hz=100.0, duration_s=max(times_s)))
+        drive(VehicleOptions(scenario=scenario, seed=k, rate_hz=100.0, duration_s=max(times_s)), {})
         for k in range(SEEDS)
     ]
     error = heading_errors(drives)
@@ -153,7 +155,7 @@ def test_sigma_of_a_vehicle_that_stands_is_that_of_theory() -> None:
 
 def test_the_heading_it_begins_with_is_a_choice_of_axes() -> None:
     options = VehicleOptions(scenario="static", rate_hz=100.0, duration_s=40.0, seed=1)
-    curves = [drive(options, None, Start(w)).phi[5:, 2] for w in (5.0, -65.0, -125.0, 180.0)]
+    curves = [drive(options, {}, Start(w)).phi[5:, 2] for w in (5.0, -65.0, -125.0, 180.0)]
     for curve in curves[1:]:
         np.testing.assert_allclose(curve, curves[0], atol=1e-3 * ARCMIN)
     assert abs(curves[0][-1]) < 60.0 * ARCMIN
@@ -508,7 +510,7 @@ def test_kingston() -> None:
     pytest.importorskip("rosbags")
     recording = read_recording(KINGSTON)
     data = window(recording, 300.0, 600.0)
-    session, updates = align(data, kingston_config(recording.position))
+    session, updates = align_recording(data, kingston_config(recording.position))
     stamps = np.array([m.stamp_ns for m in session.moments])
     errors = wrap(np.array([heading_of(m) for m in session.moments]) - kingston_heading(stamps))
     for moment, error in zip(session.moments, errors, strict=True):
@@ -525,7 +527,7 @@ def test_lasergyro() -> None:
     pytest.importorskip("rosbags")
     recording = read_recording(LASERGYRO)
     data = window(recording, 0.0, 300.0)
-    session, updates = align(data, lasergyro_config(recording.position))
+    session, updates = align_recording(data, lasergyro_config(recording.position))
     last = session.moments[-1]
     error = float(wrap(heading_of(last) - LASERGYRO_HEADING_DEG * DEG))
     assert abs(error) < 6.0 * ARCMIN
