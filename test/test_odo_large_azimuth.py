@@ -164,7 +164,9 @@ def test_one_epoch_tells_an_error(name: str, method: str) -> None:
         wander, epoch, _ = with_error(name, sign * x)
         filter_ = follow(wander, method)
         # So large that the noise takes nothing off the gain, and U's square does not matter.
-        sigma = (20.0 if index == U else 100.0 if name.startswith("gyro") else 1e3) * x
+        factors = {"phi 2": 20.0, "gyro turn": 30.0, "gyro bias": 100.0}
+        kind = name if index == U else name[:9]
+        sigma = factors.get(kind, 1e3) * x
         filter_.P = np.zeros((ENU_SIZE, ENU_SIZE))
         filter_.P[index, index] = sigma**2
         filter_.process(epoch, Standing.NO)

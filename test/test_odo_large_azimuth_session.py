@@ -46,9 +46,8 @@ def aligned_since(run: VehicleRun, updates: Sequence[Update]) -> float:
 # -- accuracy
 
 
-# An azimuth known to 1 deg is 6 deg in the outermost points of the cubature: from there the
-# filter is slow.
-SIGMAS = {("ckf", "inertial"): 15.0 * ARCMIN}
+# From the coarse alignment a filter begins late, and without what that knew of biases and scale.
+SIGMAS = {"wander": 8.0 * ARCMIN, "inertial": 15.0 * ARCMIN}
 
 
 @every_drive
@@ -60,8 +59,8 @@ def test_heading(method: str, coarse: str, scenario: str, seed: int) -> None:
     assert curve.time_s[-1] > END_S - 3.0
     assert (curve.sigma[:, 2] < 3.0 * DEGREE).all()
     assert curve.ratio.max() < MOST_SIGMA
-    assert abs(curve.phi[-1, 2]) < 15.0 * ARCMIN
-    assert curve.sigma[-1, 2] < SIGMAS.get((method, coarse), 8.0 * ARCMIN)
+    assert abs(curve.phi[-1, 2]) < 2.0 * SIGMAS[coarse]
+    assert curve.sigma[-1, 2] < SIGMAS[coarse]
     assert np.abs(curve.phi[-1, :2]).max() < 0.3 * ARCMIN
 
 
@@ -84,14 +83,14 @@ def test_the_default_is_aligned_not_much_later_than_the_wander_filter(
 
 @every_drive
 def test_two_starts_find_the_same_heading(scenario: str, seed: int) -> None:
-    """Within 2 sigma of both, and the levels within one.
+    """Within 3 sigma of both, and the levels within one.
 
     The coarse alignment does not use the data as well as the wander filter: they are not the same.
     """
     ends = [driven(scenario, seed, coarse=c)[2] for c in ("wander", "inertial")]
     assert ends[0].phi[-1, 2] != ends[1].phi[-1, 2]
     off = np.abs(ends[0].phi[-1] - ends[1].phi[-1])
-    assert (off < np.array([1.0, 1.0, 2.0]) * np.hypot(ends[0].sigma[-1], ends[1].sigma[-1])).all()
+    assert (off < np.array([1.0, 1.0, 3.0]) * np.hypot(ends[0].sigma[-1], ends[1].sigma[-1])).all()
 
 
 # -- the witness
@@ -204,7 +203,7 @@ def hand_over(
 def test_handing_over_changes_no_bit(piece_ns: int, lead_ns: int, coarse: str) -> None:
     """Both filters beside each other, an odometer that slips, and one that loses samples."""
     faults = {"slip_count": 3, "outlier_fraction": 0.01, "dropouts": ((80.0, 5.0),)}
-    run = vehicle("ring", 110.0, seed=4, odometer_latency_s=0.1, lost_fraction=0.005, **faults)
+    run = vehicle("ring", 160.0, seed=4, odometer_latency_s=0.1, lost_fraction=0.005, **faults)
     _, expected = align(run, coarse=coarse)
     pieces = Session(config_of(run, coarse=coarse))
     found = [update for part in hand_over(run, piece_ns, lead_ns, pieces) for update in part]

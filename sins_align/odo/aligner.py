@@ -140,6 +140,7 @@ class OdoAligner:
         if any(map(self._is_stillborn, self._filters())):
             self._begin()
             self._begun_anew += 1
+        self._give_up()
         self._follow()
         self._known = None if self._filter is None else knowledge_of(self._filter)
         if self._known is not None and self._large is not None and self._wander is not None:
@@ -178,6 +179,15 @@ class OdoAligner:
             return epoch
         return epoch._replace(travel=epoch.travel.later(own - delay))
 
+    def _give_up(self) -> None:
+        """Go back to the wander filter where a large azimuth error is too large."""
+        if self._large is None or not self._large.is_lost:
+            return
+        if self._wander is None:
+            self._begin()
+        else:
+            self._large = self._witness = None
+
     def _follow(self) -> None:
         """Start the filter with a large azimuth error, once the azimuth is known well enough."""
         wander = self._wander
@@ -208,7 +218,7 @@ class OdoAligner:
             silent = self._starter.silent > 2
             return (SILENT, SILENT_REMEDY) if silent else ("", "")
         assert self._known is not None
-        sigma = math.degrees(math.sqrt(self._known.covariance[2, 2]))
+        sigma = math.degrees(math.sqrt(max(float(self._known.covariance[2, 2]), 0.0)))
         reason = f"heading sigma {sigma:.0f} deg, not below {math.degrees(PUBLISH_SIGMA):.0f}"
         if self._filter.consistency > PUBLISH_CONSISTENCY:
             ratio = self._filter.consistency
@@ -238,7 +248,7 @@ class OdoAligner:
         C_nb, covariance = knowledge.C_nb, knowledge.covariance
         if not covariance[2, 2] < PUBLISH_SIGMA**2:
             return None
-        if self._estimate is None and filter_.consistency > PUBLISH_CONSISTENCY:
+        if self._estimate is None and not filter_.consistency <= PUBLISH_CONSISTENCY:
             return None
         if block is not None:
             C_nb, ahead_s = self._carry(filter_, C_nb, block)

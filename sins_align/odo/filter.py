@@ -157,10 +157,11 @@ class AidedFilter(ABC):
         """
 
     @abstractmethod
-    def _expect(self, forecast: Forecast, H: Array, arm: Array) -> Expected:
+    def _expect(self, forecast: Forecast, H: Array, path: Array) -> Expected:
         """What to expect of the measurement.
 
-        H : (3, n + 3) the measurement by the errors, linear in phi; arm : (3,) what phi turns
+        H : (3, n + 3) the measurement by the errors, linear in phi; path : (3,) the navigation's
+            over the epoch [m]
         """
 
     @abstractmethod
@@ -204,10 +205,9 @@ class AidedFilter(ABC):
         H[:, ODOMETER] = seen.H
         H[:, self._path] = _EYE
         travel = None if stands else epoch.travel
-        innovation = self._update(
-            forecast, H, seen.R, seen.residual - position, seen.arm - position,
-            0.0 if travel is None else travel.distance,
-        )  # fmt: skip
+        distance = 0.0 if travel is None else travel.distance
+        residual = seen.residual - position
+        innovation = self._update(forecast, H, seen.R, residual, course.path, distance)
         if travel is not None:
             odometer.adapt(axes, innovation.value, innovation.S + innovation.R)
         return stands
@@ -255,17 +255,18 @@ class AidedFilter(ABC):
         return bool(path @ np.linalg.solve(S, path) < STANDING_LIMIT)
 
     def _update(
-        self, forecast: Forecast, H: Array, R: Array, residual: Array, arm: Array, distance: float
+        self, forecast: Forecast, H: Array, R: Array, residual: Array, path: Array, distance: float
     ) -> Innovation:
         """Take in a measurement, with the guards; feeds the errors back.
 
-        residual : (3,) what was measured, with noise R (3, 3); distance : travelled [m]
+        residual : (3,) what was measured, with noise R (3, 3); path : see `_expect`
+        distance : travelled by the odometer [m]
         """
-        innovation, expected = self._compare(forecast, H, R, residual, arm)
+        innovation, expected = self._compare(forecast, H, R, residual, path)
         inflated = self._fading.inflate(forecast.P, forecast.Q, innovation, distance)
         if inflated is not None:
             forecast = forecast._replace(P=inflated)
-            innovation, expected = self._compare(forecast, H, R, residual, arm)
+            innovation, expected = self._compare(forecast, H, R, residual, path)
         value, inverse = innovation.value, innovation.inverse
         nis = float(value @ inverse @ value)
         if not math.isfinite(nis):
@@ -283,9 +284,9 @@ class AidedFilter(ABC):
         return innovation
 
     def _compare(
-        self, forecast: Forecast, H: Array, R: Array, residual: Array, arm: Array
+        self, forecast: Forecast, H: Array, R: Array, residual: Array, path: Array
     ) -> tuple[Innovation, Expected]:
-        expected = self._expect(forecast, H, arm)
+        expected = self._expect(forecast, H, path)
         value, S = residual - expected.z, expected.S
         return Innovation(value, S, R, inverse3(S + R), H), expected
 

@@ -33,6 +33,9 @@ PLACE_SIGMA = 10.0
 # An azimuth known worse than this is not to start from [rad]; vehicles drive so fast [m/s].
 START_SIGMA = math.radians(2.5)
 START_SPEED = 15.0
+AVERAGED_EPOCHS = 16
+# Where sigma becomes so many times that of a start, after a gap, say, the filter is given up.
+LOST_RATIO = 2.0
 
 _EYE = np.eye(3)
 _HEADING = np.eye(3, ENU_SIZE)
@@ -60,6 +63,7 @@ class LargeAzimuthFilter(AidedFilter):
         )
         self.consistency, self.nis, self.epochs = start.consistency, start.nis, start.epochs
         self._rule = rule
+        self._most_variance = (LOST_RATIO * start_sigma(self.odometer.config)) ** 2
         azimuth = start.azimuth()
         mean, P = start.with_one_azimuth(azimuth)
         navigation = self.navigation
@@ -68,6 +72,11 @@ class LargeAzimuthFilter(AidedFilter):
         J = _from_wander(navigation.v_a)
         self.P = J @ P @ J.T
         self.P[PLACE, PLACE] = PLACE_SIGMA**2 * _EYE
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the azimuth is known worse than the model allows."""
+        return not self.P[U, U] < self._most_variance
 
     @property
     def is_fine(self) -> bool:
@@ -111,8 +120,8 @@ class LargeAzimuthFilter(AidedFilter):
         moments = self._rule(model, np.zeros(ENU_SIZE), self.P, U)
         return moments.mean, moments.covariance
 
-    def _expect(self, forecast: Forecast, H: Array, arm: Array) -> Expected:
-        model = MeasurementGivenU(H, arm, self.navigation.e_a, self._axis_by_place())
+    def _expect(self, forecast: Forecast, H: Array, path: Array) -> Expected:
+        model = MeasurementGivenU(H, path, self.navigation.e_a, self._axis_by_place())
         moments = self._rule(model, forecast.mean, forecast.P, U)
         return Expected(moments.mean, moments.cross, moments.covariance)
 
@@ -141,10 +150,12 @@ def start_sigma(odometer: OdometerConfig) -> float:
 
     An azimuth error U makes an error v (1 - cos U) along the way, which no covariance with U
     holds. It stays, but is taken for noise of every epoch anew, and sigma becomes too small:
-    1 sigma of it, v sigma_U^2 / sqrt(2), has to be below the odometer's declared noise.
+    1 sigma of it, v sigma_U^2 / sqrt(2), has to be below what the odometer's declared noise is
+    in the mean of some epochs.
     """
     noise = float(odometer.noise[0] + odometer.noise_per_m[0] * START_SPEED)
-    return min(START_SIGMA, math.sqrt(math.sqrt(2.0) * noise / START_SPEED))
+    curved = noise / math.sqrt(AVERAGED_EPOCHS)
+    return min(START_SIGMA, math.sqrt(math.sqrt(2.0) * curved / START_SPEED))
 
 
 def _from_wander(v_a: Array) -> Array:

@@ -70,11 +70,11 @@ class StateGivenU:
             F[:, rows] = back @ F[:, rows]
             g[:, rows] = known + (back @ (g[:, rows] - known)[:, :, None])[:, :, 0]
         F[:, U, U] = 1.0
-        F[:, U] += self.turn_by_path @ F[:, PATH]
-        g[:, U] += g[:, PATH] @ self.turn_by_path
         # The place is the sum of the paths, without what the odometer adds to them.
         F[:, PLACE], g[:, PLACE] = F[:, PATH], g[:, PATH]
         F[:, PLACE, POSITION] = 0.0
+        F[:, U] += self.turn_by_path @ F[:, PLACE]
+        g[:, U] += g[:, PLACE] @ self.turn_by_path
         F[:, _PLACE_INDEX, _PLACE_INDEX] += 1.0
         return F, g
 
@@ -83,27 +83,28 @@ class StateGivenU:
 class MeasurementGivenU:
     """z = H(U) x + h(U), the navigation's displacement minus the odometer's.
 
-    z = int dv dt + (I - Rz(U)') a + Rz(U)' (a x phi_l + ...), with a what turns with phi, which
-    is minus the odometer's displacement but for the lever arm; the exact form of (38), (39).
-    Fulfils `ConditionallyLinear`.
+    z = Rz(U) int dv dt + (I - Rz(U)) int v~ dt + a x phi_l + ..., with a what turns with phi,
+    which is minus the odometer's displacement but for the lever arm: the exact form of (38),
+    (39), in the axes of the computed navigation. There the odometer's noise is along and across
+    the vehicle; in true axes it would be turned by U as well, and a large one would seem to
+    measure U. Fulfils `ConditionallyLinear`.
 
-    H : (3, n + 3) by the errors in the axes of the computed navigation; arm : (3,) a [m]
+    H : (3, n + 3) by the errors in the axes of the computed navigation; path : (3,) int v~ dt [m]
     """
 
     H: Array
-    arm: Array
+    path: Array
     e_a: Array
     axis_by_place: Array
 
     def at(self, angle: Array) -> tuple[Array, Array]:
         """H (m, 3, n + 3) and h (m, 3) for (m,) values of U [rad]."""
         R = about_up(angle)
-        back = R.transpose(0, 2, 1)
+        away = _EYE - R
         by_axis = self.H[:, AXIS]
-        F = back @ self.H
+        F = np.empty((angle.shape[0], *self.H.shape))
+        F[:] = self.H
         F[:, :, U] = 0.0
-        F[:, :, PLACE] = back @ (by_axis @ (R @ self.axis_by_place))
-        F[:, :, PATH] = _EYE
-        away = self.e_a - R @ self.e_a
-        turned = (back @ (away @ by_axis.T - self.arm)[:, :, None])[:, :, 0]
-        return F, self.arm + turned
+        F[:, :, PLACE] = by_axis @ (R @ self.axis_by_place)
+        F[:, :, PATH] = R
+        return F, away @ self.path + away @ self.e_a @ by_axis.T

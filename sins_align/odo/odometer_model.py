@@ -74,13 +74,14 @@ class Displacement(NamedTuple):
 class OdometerModel:
     """The estimates of the odometer's states.
 
+    config : what is declared
     x : (COUNT,) scale error, latency beyond the declared one [s], lever arm [m], tangents of
         the mounting, slow direction, gradients [rad/(m/s^2)], position noise at the end of
         the last epoch, in m [m]
     """
 
     def __init__(self, config: OdometerConfig) -> None:
-        self._config = config
+        self.config = config
         self.C_bm = dcm_from_rpy(*config.mounting_rpy.tolist())
         self.x = np.zeros(COUNT)
         self.x[LEVER] = config.lever_arm
@@ -90,7 +91,7 @@ class OdometerModel:
 
     def prior_variance(self) -> Array:
         """(COUNT,) variances at the start; all independent."""
-        config = self._config
+        config = self.config
         sigma = np.empty(COUNT)
         sigma[SCALE], sigma[LATENCY] = config.scale_sigma, config.latency_sigma
         sigma[LEVER] = config.lever_arm_sigma
@@ -117,7 +118,7 @@ class OdometerModel:
         """
         kept = self._kept.get(duration)
         if kept is None:
-            config = self._config
+            config = self.config
             factor, variance = np.ones(COUNT), np.zeros(COUNT)
             decay = np.exp(-duration / DIRECTION_TIME_S)
             factor[DIRECTION] = decay
@@ -180,7 +181,7 @@ class OdometerModel:
         if standing:
             return np.full(3, STANDING_NOISE**2)
         # Declared for a second: white, it grows with the root of the time.
-        config, speed = self._config, abs(travel.distance) / duration
+        config, speed = self.config, abs(travel.distance) / duration
         sigma = config.noise + config.noise_per_m * speed
         variance = self._growth * (sigma * sigma * duration)
         variance[0] += travel.variance
@@ -220,7 +221,7 @@ class OdometerModel:
         return OdometerEstimate(
             scale_error=float(x[SCALE]),
             scale_sigma=float(sigma[SCALE]),
-            latency_s=self._config.latency + float(x[LATENCY]),
+            latency_s=self.config.latency + float(x[LATENCY]),
             latency_sigma_s=float(sigma[LATENCY]),
             mounting_rpy=np.array(rpy_from_dcm(C_bm)),
             mounting_covariance=tangents @ covariance[MOUNTING, MOUNTING] @ tangents.T,

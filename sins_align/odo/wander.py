@@ -87,7 +87,7 @@ class WanderFilter(AidedFilter):
     def _propagate(self, A: Array, course: Course) -> tuple[Array, Array]:
         return np.zeros(A.shape[0]), A @ self.P @ A.T
 
-    def _expect(self, forecast: Forecast, H: Array, arm: Array) -> Expected:
+    def _expect(self, forecast: Forecast, H: Array, path: Array) -> Expected:
         cross = forecast.P @ H.T
         return Expected(_NOTHING, cross, H @ cross)
 
