@@ -15,6 +15,7 @@ from evidence.odo_recording import Moment, RecordedSession, Start
 from sins_align.config import OdoConfig, odo_config
 from sins_align.config_path import shipped_config
 from sins_align.odo import filter as odo_filter
+from sins_align.odo import large_azimuth
 from sins_align.parameters import read_parameter_file
 from sins_align.rotation import rpy_from_dcm
 from sins_align.session import Update
@@ -115,7 +116,13 @@ def align(simulated: VehicleRun, parameters: Parameters, start: Start | None = N
     recorded = RecordedSession(config, start, heading)
     plain = start is not None and start.sigma_deg is not None
     limit = math.inf if plain else odo_filter.SOFT_LIMIT
-    with patch.object(odo_filter, "SOFT_LIMIT", limit):
+    # The published fading by itself: the product goes back to wander_kf when it is lost.
+    alone = plain or config.fading == "published"
+    ratio = math.inf if alone else large_azimuth.LOST_RATIO
+    with (
+        patch.object(odo_filter, "SOFT_LIMIT", limit),
+        patch.object(large_azimuth, "LOST_RATIO", ratio),
+    ):
         updates = [] if config.stationary else recorded.add_odometer(simulated.odometer)
         updates += recorded.add_imu(simulated.imu)
     claims = [u.status for u in updates if u.status.state is State.ALIGNED]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from odo_sessions import Curve, align, curve_of, vehicle
 
+from sins_align.odo import large_azimuth
 from sins_align.odo.fading import Innovation, PublishedFading, ScaleJumpFading
 from sins_align.odo.layout import ENU_SIZE, ODOMETER
 from sins_align.odo.odometer_model import SCALE
@@ -127,6 +129,12 @@ MOST_SIGMA = 4.0
 
 @cache
 def driven(name: str, seed: int, fading: str) -> tuple[Curve, list[Update]]:
+    """The filter by itself: it is not given up for wander_kf when it is lost."""
+    with patch.object(large_azimuth, "LOST_RATIO", math.inf):
+        return guarded_drive(name, seed, fading)
+
+
+def guarded_drive(name: str, seed: int, fading: str) -> tuple[Curve, list[Update]]:
     run = vehicle("ring", END_S, seed=seed, **FAULTS[name])
     _, updates = align(run, method="sghf", fading=fading)
     return curve_of(run, updates), updates
@@ -183,6 +191,19 @@ def test_published_fading_makes_sigma_lie() -> None:
 def test_witness_says_that_the_published_fading_went_wrong() -> None:
     reasons = [driven("scale step", seed, "published")[1][-1].status.reason for seed in SEEDS]
     assert sum("wander_kf beside it differs" in reason for reason in reasons) >= 2
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_lost_filter_is_given_up(name: str) -> None:
+    """The product goes back to wander_kf, whose errors its sigma knows of."""
+    given_up = 0
+    for seed in SEEDS:
+        curve, updates = guarded_drive(name, seed, "published")
+        witnessed = [u.estimate.witness is not None for u in updates if u.estimate is not None]
+        given_up += False in witnessed[witnessed.index(True) :]
+        assert curve.ratio.max() < MOST_SIGMA
+        assert abs(curve.phi[-1, 2]) < GOOD
+    assert given_up >= len(SEEDS) - 1  # one takes over only after the slips
 
 
 def scale_off(name: str, seed: int, fading: str, time_s: float) -> float:
