@@ -26,7 +26,8 @@ class Innovation(NamedTuple):
     """A measurement against what was expected of it.
 
     value : (3,) [m]; S, R : (3, 3) its covariance by the errors, and by noise [m^2]
-    inverse : (3, 3) of S + R; H : (3, n + 3) it by the errors
+    inverse : (3, 3) of S + R; H : (3, n + 3) it by the errors, with those of the Earth's axis for
+        the states that tell it
     """
 
     value: Array

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple
 
 import numpy as np
 
 from sins_align.grades import ImuGrade
+from sins_align.odo.distribution import Expected, Forecast, Posterior
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ErrorModel
 from sins_align.odo.fading import Fading, Innovation
@@ -59,42 +59,6 @@ _ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
 _POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
 _GAP_INDEX = np.r_[PHI, VELOCITY]
 POSITION = slice(ODOMETER.start + ODO_POSITION.start, ODOMETER.start + ODO_POSITION.stop)
-
-
-class Forecast(NamedTuple):
-    """The errors at the end of an epoch, path included, before the measurement.
-
-    mean : (n + 3,); P : (n + 3, n + 3) covariance; Q : (n + 3, n + 3) what of it is new noise
-    """
-
-    mean: Array
-    P: Array
-    Q: Array
-
-
-class Expected(NamedTuple):
-    """What the errors let one expect of the measurement.
-
-    z : (3,) mean [m]; cross : (n + 3, 3) covariance of errors and measurement; S : (3, 3)
-    covariance of the measurement by the errors [m^2]
-    """
-
-    z: Array
-    cross: Array
-    S: Array
-
-
-class Posterior(NamedTuple):
-    """What a filter gives out after an epoch.
-
-    alpha : wander angle of a [rad]; mean : (n,) of the errors that is not fed back; P : (n, n)
-    heading : (3, n) of phi in a, its vertical part that of the heading, by the errors
-    """
-
-    alpha: float
-    mean: Array
-    P: Array
-    heading: Array
 
 
 class AidedFilter(ABC):

@@ -19,8 +19,9 @@ import numpy as np
 from sins_align.config import OdometerConfig
 from sins_align.earth import SEMI_MAJOR_AXIS
 from sins_align.grades import ImuGrade
+from sins_align.odo.distribution import Expected, Forecast, Posterior
 from sins_align.odo.fading import Fading
-from sins_align.odo.filter import FINE_VARIANCE, AidedFilter, Expected, Forecast, Posterior
+from sins_align.odo.filter import FINE_VARIANCE, AidedFilter
 from sins_align.odo.large_azimuth_model import MeasurementGivenU, StateGivenU, about_up
 from sins_align.odo.layout import ALPHA, ENU_SIZE, PHI, PLACE, SHARED, SIZE, VELOCITY, U
 from sins_align.odo.moments import MomentRule
@@ -33,6 +34,7 @@ PLACE_SIGMA = 10.0
 # An azimuth known worse than this is not to start from [rad]; vehicles drive so fast [m/s].
 START_SIGMA = math.radians(2.5)
 START_SPEED = 15.0
+# So many of the odometer's noise are averaged before U is known much better.
 AVERAGED_EPOCHS = 16
 # Where sigma becomes so many times that of a start, after a gap, say, the filter is given up.
 LOST_RATIO = 2.0

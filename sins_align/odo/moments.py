@@ -23,11 +23,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from sins_align.odo.conditioning import check_variances, condition, root
 from sins_align.odo.gauss_hermite import gauss_hermite
 from sins_align.types import Array
-
-# A correlation matrix with a lower eigenvalue than this is wrong, and not just rounded.
-LEAST_EIGENVALUE = -1e-6
 
 
 class ConditionallyLinear(Protocol):
@@ -116,7 +114,7 @@ class ReducedGaussHermite:
     def __call__(self, map_: ConditionallyLinear, mean: Array, P: Array, index: int) -> Moments:
         """Moments of y, see `MomentRule`."""
         nodes, W = gauss_hermite(self.order)
-        s, rest = _condition(P, index)
+        s, rest = condition(P, index)
         F, e, origin = _deviations(map_, mean, nodes * s, index)
         m, k, n = F.shape
         shift = W @ e
@@ -152,7 +150,7 @@ class FullGaussHermite:
     def __call__(self, map_: ConditionallyLinear, mean: Array, P: Array, index: int) -> Moments:
         """Moments of y, see `MomentRule`."""
         nodes, W = gauss_hermite(self.order, mean.size)
-        return _weighted_moments(map_, mean, nodes @ _root(P, index).T, W, index)
+        return _weighted_moments(map_, mean, nodes @ root(P, index).T, W, index)
 
 
 @dataclass(frozen=True)
@@ -166,7 +164,7 @@ class Cubature:
     def __call__(self, map_: ConditionallyLinear, mean: Array, P: Array, index: int) -> Moments:
         """Moments of y, see `MomentRule`."""
         n = mean.size
-        steps = math.sqrt(n) * _root(P, index).T
+        steps = math.sqrt(n) * root(P, index).T
         weights = np.full(2 * n, 0.5 / n)
         return _weighted_moments(map_, mean, np.concatenate((steps, -steps)), weights, index)
 
@@ -201,7 +199,7 @@ class Unscented:
         c = self.alpha**2 * (n + self.kappa)
         if not c > 0.0:
             raise ValueError(f"n + kappa must be positive, not {n + self.kappa}")
-        steps = math.sqrt(c) * _root(P, index).T
+        steps = math.sqrt(c) * root(P, index).T
         offsets = np.concatenate((np.zeros((1, n)), steps, -steps))
         _, e, origin = _deviations(map_, mean, offsets, index)
         # A small alpha makes the middle weights about -1/alpha^2, against which all others
@@ -238,7 +236,7 @@ class Linearised:
 
     def __call__(self, map_: ConditionallyLinear, mean: Array, P: Array, index: int) -> Moments:
         """Moments of y, see `MomentRule`."""
-        _check_variances(P)
+        check_variances(P)
         F, g = map_.at(mean[index] + np.array([0.0, self.step, -self.step]))
         y = F @ mean + g
         J = F[0].copy()
@@ -252,58 +250,8 @@ def _check_order(order: int) -> None:
         raise ValueError(f"the moments need an order of 2 or more, not {order}")
 
 
-def _check_variances(P: Array) -> None:
-    if not (P.diagonal() >= 0.0).all():
-        raise np.linalg.LinAlgError("a variance is negative or not a number")
-
-
 def _symmetric(A: Array) -> Array:
     return 0.5 * (A + A.T)
-
-
-def _condition(P: Array, index: int) -> tuple[Array, Array]:
-    """s (n,) and rest (n, n): the part of P that goes with the angle, and what is left.
-
-    A known angle has no part: s = 0.
-    """
-    _check_variances(P)
-    variance = float(P[index, index])
-    s = P[:, index] / math.sqrt(variance) if variance > 0.0 else np.zeros(P.shape[0])
-    return s, P - np.multiply.outer(s, s)
-
-
-def _root(P: Array, index: int) -> Array:
-    """S (n, n) with S S' = P, its first column s, and no other has a part in the angle.
-
-    P is scaled to correlations first: with variances from 1e-20 to 1e4 what is rounding to
-    one state is all of another. A P that is only semidefinite (a known state, a constraint),
-    or that rounding made indefinite, has no Cholesky factor. Then the root comes from the
-    eigenvectors, less the negative eigenvalues: that changes P by what it was wrong, whereas
-    a jitter large enough for Cholesky adds noise to every state.
-
-    Raises
-    ------
-    LinAlgError : P is not semidefinite, by more than rounding
-    """
-    s, rest = _condition(P, index)
-    others = np.delete(np.arange(s.size), index)
-    sigma = np.sqrt(P.diagonal()[others])
-    scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0.0)
-    correlation = rest[np.ix_(others, others)] * np.multiply.outer(scale, scale)
-    S = np.zeros_like(rest)
-    S[:, 0] = s
-    S[others, 1:] = sigma[:, None] * _correlation_root(correlation)
-    return S
-
-
-def _correlation_root(correlation: Array) -> Array:
-    try:
-        return np.linalg.cholesky(correlation)
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(correlation)
-        if not values[0] >= LEAST_EIGENVALUE:
-            raise np.linalg.LinAlgError("the covariance is not semidefinite") from None
-        return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _deviations(

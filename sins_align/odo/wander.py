@@ -15,15 +15,10 @@ import numpy as np
 
 from sins_align.grades import ImuGrade
 from sins_align.odo.azimuth import Azimuth, find_azimuth
+from sins_align.odo.distribution import Expected, Forecast, Posterior
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.fading import ScaleJumpFading
-from sins_align.odo.filter import (
-    FINE_VARIANCE,
-    AidedFilter,
-    Expected,
-    Forecast,
-    Posterior,
-)
+from sins_align.odo.filter import FINE_VARIANCE, AidedFilter
 from sins_align.odo.layout import ALPHA, AZIMUTH, PHI, SIZE
 from sins_align.odo.navigation import Course, WanderNavigation
 from sins_align.odo.odometer_model import OdometerModel

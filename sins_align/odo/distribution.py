@@ -1,0 +1,43 @@
+"""What the steps of a filter hand to each other: distributions of its errors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from sins_align.types import Array
+
+
+class Forecast(NamedTuple):
+    """The errors at the end of an epoch, path included, before the measurement.
+
+    mean : (n + 3,); P : (n + 3, n + 3) covariance; Q : (n + 3, n + 3) what of it is new noise
+    """
+
+    mean: Array
+    P: Array
+    Q: Array
+
+
+class Expected(NamedTuple):
+    """What the errors let one expect of the measurement.
+
+    z : (3,) mean [m]; cross : (n + 3, 3) covariance of errors and measurement; S : (3, 3)
+    covariance of the measurement by the errors [m^2]
+    """
+
+    z: Array
+    cross: Array
+    S: Array
+
+
+class Posterior(NamedTuple):
+    """What a filter gives out after an epoch.
+
+    alpha : wander angle of a [rad]; mean : (n,) of the errors that is not fed back; P : (n, n)
+    heading : (3, n) of phi in a, its vertical part that of the heading, by the errors
+    """
+
+    alpha: float
+    mean: Array
+    P: Array
+    heading: Array
