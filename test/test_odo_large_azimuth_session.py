@@ -13,7 +13,7 @@ from odo_sessions import Curve, align, config_of, curve_of, misalignment, vehicl
 
 from sins_align.grades import ConfigError
 from sins_align.session import Session, Update
-from sins_align.simulate import VehicleRun
+from sins_align.simulate import VehicleOptions, VehicleRun, simulate_vehicle
 from sins_align.types import Estimate, State
 
 ARCMIN = math.radians(1.0 / 60.0)
@@ -210,6 +210,43 @@ def test_handing_over_changes_no_bit(piece_ns: int, lead_ns: int, coarse: str) -
     assert trace(found) == trace(expected)
     last = estimates(expected)[-1]
     assert (last.witness is not None) is (coarse == "wander")
+
+
+# -- what was once wrong
+
+
+def town(seed: int, duration_s: float, **changes: Any) -> VehicleRun:
+    options = {"rate_hz": 200.0, "scenario": "urban", "seed": seed, "duration_s": duration_s}
+    return simulate_vehicle(VehicleOptions(**{**options, **changes}))
+
+
+@pytest.mark.parametrize("coarse", ["wander", "inertial"])
+def test_a_gap_that_loses_the_azimuth(coarse: str) -> None:
+    """0.3 s in a turn: the filter is given up before its model is wrong for good."""
+    run = town(402, 400.0, grade="rlg")
+    time_s = (run.imu.stamp_ns - run.imu.stamp_ns[0]) * 1e-9
+    whole = ~((time_s > 300.0) & (time_s < 300.3))
+    session = Session(config_of(run, coarse=coarse))
+    updates = [*session.add_odometer(run.odometer), *session.add_imu(run.imu.select(whole))]
+    curve = curve_of(run, updates)
+    before, after = curve.time_s < 300.0, curve.time_s > 301.0
+    assert curve.sigma[before][-1, 2] < 5.0 * ARCMIN
+    assert curve.sigma[after][0, 2] > 10.0 * ARCMIN
+    assert curve.ratio.max() < MOST_SIGMA
+    if coarse == "wander":
+        assert curve.time_s[-1] > 397.0 and curve.sigma[-1, 2] < 10.0 * ARCMIN
+
+
+def test_an_odometer_stuck_before_the_azimuth_is_known() -> None:
+    """What the wheel misses is no measurement of the azimuth: 19' off at 7 sigma, once."""
+    run = town(8, 200.0, stuck=((100.0, 30.0),))
+    _, updates = align(run, method="sghf")
+    curve = curve_of(run, updates)
+    assert curve.ratio.max() < MOST_SIGMA
+    _, beside = align(run, method="wander_kf")
+    at = curve.at(128.0)
+    other = curve_of(run, beside)
+    assert curve.sigma[at, 2] > 0.8 * other.sigma[other.at(128.0), 2]
 
 
 # -- settings
