@@ -1,4 +1,4 @@
-"""Strong tracking: the published factor as it is printed, and where it fails; the guarded one."""
+"""Strong tracking: the published factor, and where it fails; the guarded one."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def printed_factor(V: Array, P: Array, Q: Array, H: Array, R: Array) -> float:
     return max(1.0, float(np.trace(N_k) / np.trace(M_k)))
 
 
-def test_published_fading_is_the_printed_one() -> None:
+def test_published_fading_is_that_of_the_strong_tracking_filter() -> None:
     """P = lambda (P - Q) + Q, V_k = (rho V_k-1 + nu nu') / (1 + rho) with rho = 0.95."""
     rng = np.random.default_rng(5)
     fading, V = PublishedFading(), np.zeros((0, 0))
@@ -147,7 +147,8 @@ every_seed = pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", FAULTS)
 def test_guarded_fading_holds(name: str, seed: int) -> None:
     """Within 4 sigma all the time, and as good as without a fault at the end."""
-    curve, _ = driven(name, seed, "guarded")
+    curve, updates = driven(name, seed, "guarded")
+    assert any(u.status.state is State.ALIGNED for u in updates)
     assert curve.ratio.max() < MOST_SIGMA
     assert curve.time_s[-1] > END_S - 3.0
     assert abs(curve.phi[-1, 2]) < GOOD
@@ -159,13 +160,11 @@ def test_published_fading_loses_the_heading_by_slips(seed: int) -> None:
     """The same drives: four slips of two seconds, and what was known to 10' is not known."""
     curve, updates = driven("slips", seed, "published")
     # It had been as good as the other one.
-    first = int(np.argmax(curve.sigma[:, 2] < 3.0 * BAD_SIGMA))
-    assert curve.ratio[: first + 1].max() < MOST_SIGMA
+    first = int(np.argmax(curve.sigma[:, 2] < 0.5 * BAD_SIGMA))
+    assert first > 0 and curve.ratio[: first + 1].max() < MOST_SIGMA
     last = updates[-1]
     assert last.estimate is None or last.estimate.sigma[2] > BAD_SIGMA
     assert last.status.state is not State.ALIGNED
-    reasons = {u.status.reason for u in updates if u.stamp_ns > updates[-20].stamp_ns}
-    assert any("heading sigma" in reason for reason in reasons)
 
 
 @every_seed

@@ -340,7 +340,7 @@ def test_fading_that_never_fires_is_none(fading: type[Fading]) -> None:
     for quiet, scale in ((True, 0.0), (False, 0.05)):
         start = copy.deepcopy(wander)
         loud = {"odometer_noise_m": [1.0] * 3} if quiet else {}
-        start.odometer._config = config(**loud)
+        start.odometer.config = config(**loud)
         counted = Counted(fading())
         one = with_rule(start, ReducedGaussHermite(), counted)
         other = with_rule(start, ReducedGaussHermite())

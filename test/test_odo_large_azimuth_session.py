@@ -107,7 +107,7 @@ def test_witness(scenario: str, seed: int) -> None:
     assert given[first].sigma[2] < 2.5 * DEGREE
     assert first < 0.5 * len(given)
     beside = {e.stamp_ns: e for e in estimates(driven(scenario, seed, method="wander_kf")[1])}
-    compared = 0
+    compared, largest = 0, 0.0
     for estimate in given[first:]:
         witness, other = estimate.witness, beside.get(estimate.stamp_ns)
         assert witness is not None
@@ -118,11 +118,14 @@ def test_witness(scenario: str, seed: int) -> None:
         compared += 1
         # phi of the estimate against the witness: estimate = (I - [phi x]) witness.
         expected = misalignment(run, estimate) - misalignment(run, other)
-        np.testing.assert_allclose(witness.phi, expected, rtol=0.0, atol=0.5 * ARCMIN)
+        off = np.abs(witness.phi - expected)
+        assert (off < np.array([0.005, 0.005, 0.5]) * ARCMIN).all()
+        largest = max(largest, abs(expected[2]))
         covariance = estimate.misalignment_covariance + other.misalignment_covariance
         square = witness.phi @ np.linalg.solve(covariance, witness.phi) / 3.0
         assert witness.square == pytest.approx(square, rel=0.1, abs=1e-3)
     assert compared > 20
+    assert largest > 0.6 * ARCMIN
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The aligner of `odo_align`: pairs IMU and odometer, starts the filter, gives its estimate."""
+"""The aligner of `odo_align`: pairs IMU and odometer, starts the filters, gives the estimate."""
 
 from __future__ import annotations
 
@@ -55,6 +55,7 @@ LONG_EPOCH_S = 2.0
 SILENT = "no odometer"
 SILENT_REMEDY = "publish topic odom, or set aiding to stationary if the vehicle stands"
 POLE = "there is no heading at the pole"
+LOST = "the azimuth was lost (samples missing, or an odometer that misleads): beginning anew"
 CHECK_REMEDY = "check the odometer, imu_grade, imu_sampling and aiding"
 TURN_REMEDY = "drive turns: standing, the declared gyro bias does not allow it"
 # Nearer to a pole the Earth's rate is vertical, and no gyro of a vehicle finds north.
@@ -77,6 +78,7 @@ class OdoAligner:
         self._pairing = Pairing(None if config.stationary else config.odometer)
         self._detector = StandingDetector(config.grade, config.stationary)
         self._begun_anew = 0
+        self._has_lost_azimuth = False
         self._begin()
         self._estimate: Estimate | None = None
         self._turned: Array | None = None  # by the IMU samples since the last epoch
@@ -184,6 +186,7 @@ class OdoAligner:
         if self._large is None or not self._large.is_lost:
             return
         if self._wander is None:
+            self._has_lost_azimuth = True
             self._begin()
         else:
             self._large = self._witness = None
@@ -197,6 +200,7 @@ class OdoAligner:
             return
         if not has_witness(self._config):
             self._large, self._wander = make_large_azimuth_filter(self._config, wander), None
+            self._has_lost_azimuth = False
         elif self._can_start(wander):
             self._large = make_large_azimuth_filter(self._config, wander)
 
@@ -214,6 +218,8 @@ class OdoAligner:
             limit = f"the declared gyro bias allows {math.degrees(self._limit):.0f} deg"
             return f"heading is unobservable at this latitude: {limit}", UNOBSERVABLE_REMEDY
         if self._filter is None:
+            if self._has_lost_azimuth:
+                return LOST, CHECK_REMEDY
             # The first epoch is never whole: that alone means nothing.
             silent = self._starter.silent > 2
             return (SILENT, SILENT_REMEDY) if silent else ("", "")

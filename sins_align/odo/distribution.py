@@ -34,10 +34,10 @@ class Posterior(NamedTuple):
     """What a filter gives out after an epoch.
 
     alpha : wander angle of a [rad]; mean : (n,) of the errors that is not fed back; P : (n, n)
-    heading : (3, n) of phi in a, its vertical part that of the heading, by the errors
+    phi_by_errors : (3, n) phi in a, its vertical part that of the heading, by the errors
     """
 
     alpha: float
     mean: Array
     P: Array
-    heading: Array
+    phi_by_errors: Array

@@ -2,7 +2,8 @@
 
 A filter that has converged is slow to follow what its model does not know. A fading makes the
 forecast's covariance larger where innovations are too large: `ScaleJumpFading` only where the
-mismatch is, `PublishedFading` everywhere, as Wu, Tang and Huang print it.
+mismatch is, `PublishedFading` everywhere, by (58) of Wu, Tang and Huang with the factor of their
+reference.
 """
 
 from __future__ import annotations
@@ -12,22 +13,20 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from sins_align.odo.guards import ScaleJump
-from sins_align.odo.layout import ODOMETER
-from sins_align.odo.odometer_model import SCALE
+from sins_align.odo.layout import ODOMETER_SCALE as SCALE
 from sins_align.types import Array
 
 # Of Zhou and Frank's strong tracking filter; the paper names neither.
 FORGETTING = 0.95  # rho
 SOFTENING = 1.0  # beta
-_SCALE = ODOMETER.start + SCALE
 
 
 class Innovation(NamedTuple):
     """A measurement against what was expected of it.
 
     value : (3,) [m]; S, R : (3, 3) its covariance by the errors, and by noise [m^2]
-    inverse : (3, 3) of S + R; H : (3, n + 3) it by the errors, with those of the Earth's axis for
-        the states that tell it
+    inverse : (3, 3) of S + R; H : (3, n + 3) it by the errors at U = 0; the columns of a place are
+        those of the Earth's axis: no fading looks at them, and the place has no noise Q
     """
 
     value: Array
@@ -66,13 +65,13 @@ class ScaleJumpFading:
 
     def inflate(self, P: Array, Q: Array, innovation: Innovation, distance: float) -> Array | None:
         """See `Fading`."""
-        h = innovation.H[:, _SCALE]
+        h = innovation.H[:, SCALE]
         jump = self._jump.test(h, innovation.inverse, innovation.value, distance)
         if jump is None:
             return None
         inflated = P.copy()
-        inflated[_SCALE, :] = inflated[:, _SCALE] = 0.0
-        inflated[_SCALE, _SCALE] = jump * jump
+        inflated[SCALE, :] = inflated[:, SCALE] = 0.0
+        inflated[SCALE, SCALE] = jump * jump
         return inflated
 
 

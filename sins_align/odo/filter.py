@@ -3,8 +3,8 @@
 An epoch carries the navigation on, and the errors' distribution with it; the displacement by
 the odometer, or that the vehicle stands, is compared with the navigation's; what is found of
 the errors is taken off the estimates, so that their mean is zero when the next epoch begins.
-What a filter adds is how mean and covariance pass through its error model: `_propagate`,
-`_expect`, `_correct`, and `posterior`, which says what it gives out.
+What a filter adds is how mean and covariance pass through its error model: `_axis`,
+`_propagate`, `_expect`, `_correct`; what it gives out: `posterior`; and `is_fine`.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from sins_align.odo.layout import (
     GYRO_BIAS,
     GYRO_TURN,
     ODOMETER,
+    ODOMETER_POSITION,
     PHI,
     VELOCITY,
     path_of,
@@ -58,7 +59,6 @@ _ONE_AND_A_HALF = 1.5 * _EYE
 _ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
 _POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
 _GAP_INDEX = np.r_[PHI, VELOCITY]
-POSITION = slice(ODOMETER.start + ODO_POSITION.start, ODOMETER.start + ODO_POSITION.stop)
 
 
 class AidedFilter(ABC):
@@ -187,7 +187,7 @@ class AidedFilter(ABC):
         factor, added = odometer.advance(T)
         A = self._model.transition(epoch, course, axis, rate)
         A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
-        A[self._path, POSITION] = -(course.C_start @ odometer.C_bm)
+        A[self._path, ODOMETER_POSITION] = -(course.C_start @ odometer.C_bm)
         if epoch.gap_s > 0.0:
             P = self.P.copy()
             P[_GAP_INDEX, _GAP_INDEX] += gap_noise(epoch)
@@ -209,8 +209,8 @@ class AidedFilter(ABC):
         noise = axes * variance
         for P in (forecast.P, forecast.Q):
             P[_POSITION_INDEX, _POSITION_INDEX] += variance
-            P[path, POSITION] += noise
-            P[POSITION, path] += noise.T
+            P[path, ODOMETER_POSITION] += noise
+            P[ODOMETER_POSITION, path] += noise.T
             P[path, path] += noise @ axes.T
 
     def _may_stand(self, P: Array, path: Array) -> bool:

@@ -47,7 +47,7 @@ def accel_variance(grade: ImuGrade, up_b: Array) -> Array:
 
 
 def gap_noise(epoch: AidedEpoch) -> Array:
-    """(6,) variances of phi and velocity of what happened while samples were missing.
+    """(6,) variances of PHI, then VELOCITY, of what happened while samples were missing.
 
     Interpolation knows all of a motion that is slow against the gap, and nothing of one that
     is quick: the unrest of the epoch stands for it.

@@ -15,11 +15,12 @@ from sins_align.types import Array, OdometerEstimate
 
 
 class Knowledge(NamedTuple):
-    """What the filter knows, the length of the Earth's axis taken into account.
+    """What the filter knows; of a wander filter, given the length of the Earth's axis.
 
     C_nb : (3, 3) attitude in ENU; covariance : (3, 3) of phi, axes east, north, up [rad^2]
     gyro_bias, accel_bias : (3,) with their 1 sigma [rad/s], [m/s^2]; the sigma of the
         accelerometers' contains the scale errors that on a vehicle look like biases
+    odometer : its estimates, with their 1 sigma
     """
 
     C_nb: Array
@@ -37,7 +38,7 @@ def knowledge_of(filter_: AidedFilter) -> Knowledge:
     mean, P = posterior.mean, posterior.P
     s, c = math.sin(posterior.alpha), math.cos(posterior.alpha)
     C_na = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    J = C_na @ posterior.heading
+    J = C_na @ posterior.phi_by_errors
     variance = P.diagonal()
     # Of biases and scale errors the filter knows the sum: what it does not tell apart.
     accel = variance[ACCEL_BIAS]

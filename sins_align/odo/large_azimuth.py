@@ -40,16 +40,16 @@ AVERAGED_EPOCHS = 16
 LOST_RATIO = 2.0
 
 _EYE = np.eye(3)
-_HEADING = np.eye(3, ENU_SIZE)
+_PHI_BY_ERRORS = np.eye(3, ENU_SIZE)
 
 
 class LargeAzimuthFilter(AidedFilter):
-    """A filter of the large-azimuth model; fulfils `AidedFilter`.
+    """A filter of the large-azimuth model.
 
     Parameters
     ----------
     start : a wander filter; goes on unchanged
-    rule : how moments pass through the model
+    grade : of the IMU; rule : how moments pass through the model; fading : strong tracking
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class LargeAzimuthFilter(AidedFilter):
     def posterior(self) -> Posterior:
         """See `AidedFilter`: everything has been fed back."""
         alpha = self.navigation.wander_angle
-        return Posterior(alpha, np.zeros(ENU_SIZE), self.P, _HEADING)
+        return Posterior(alpha, np.zeros(ENU_SIZE), self.P, _PHI_BY_ERRORS)
 
     def _axis(self) -> Array:
         return _EYE

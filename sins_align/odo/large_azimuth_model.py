@@ -5,7 +5,7 @@ the error model of the wander frame holds: with y the errors there,
 
     y  = T(U) x + t(U):     dv_y = Rz(U) dv + (I - Rz(U)) v~,      de = (I - Rz(U)) e~ + ...
     y+ = A y                                                        (`error_model`)
-    x+ = T(U)' y+ + t+(U):  dv = Rz(U)' dv_y + (I - Rz(U)') v~,     U+ = U + phi_z
+    x+ = T(U)' y+ + t+(U):  dv = Rz(U)' dv_y + (I - Rz(U)') v~,     U+ = U + phi_z + tan L/R d_E
 
 dv: velocity error in ENU; e: the Earth's axis, whose error stands for that of the Earth's rate;
 tilde: computed. Everything is linear in x once U is given. docs/large_azimuth.md has the
@@ -18,8 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sins_align.odo.filter import POSITION
-from sins_align.odo.layout import AXIS, ENU_SIZE, PLACE, VELOCITY, U, path_of
+from sins_align.odo.layout import (
+    AXIS,
+    ENU_SIZE,
+    ODOMETER_POSITION,
+    PLACE,
+    VELOCITY,
+    U,
+    path_of,
+)
 from sins_align.types import Array
 
 PATH = path_of(ENU_SIZE)
@@ -72,7 +79,7 @@ class StateGivenU:
         F[:, U, U] = 1.0
         # The place is the sum of the paths, without what the odometer adds to them.
         F[:, PLACE], g[:, PLACE] = F[:, PATH], g[:, PATH]
-        F[:, PLACE, POSITION] = 0.0
+        F[:, PLACE, ODOMETER_POSITION] = 0.0
         F[:, U] += self.turn_by_path @ F[:, PLACE]
         g[:, U] += g[:, PLACE] @ self.turn_by_path
         F[:, _PLACE_INDEX, _PLACE_INDEX] += 1.0
@@ -84,12 +91,13 @@ class MeasurementGivenU:
     """z = H(U) x + h(U), the navigation's displacement minus the odometer's.
 
     z = Rz(U) int dv dt + (I - Rz(U)) int v~ dt + a x phi_l + ..., with a what turns with phi,
-    which is minus the odometer's displacement but for the lever arm: the exact form of (38),
+    which is minus the odometer's displacement but for the lever arm: the exact form of (26), (38),
     (39), in the axes of the computed navigation. There the odometer's noise is along and across
     the vehicle; in true axes it would be turned by U as well, and a large one would seem to
     measure U. Fulfils `ConditionallyLinear`.
 
     H : (3, n + 3) by the errors in the axes of the computed navigation; path : (3,) int v~ dt [m]
+    e_a, axis_by_place : see `StateGivenU`
     """
 
     H: Array
@@ -102,9 +110,9 @@ class MeasurementGivenU:
         R = about_up(angle)
         away = _EYE - R
         by_axis = self.H[:, AXIS]
-        F = np.empty((angle.shape[0], *self.H.shape))
-        F[:] = self.H
-        F[:, :, U] = 0.0
-        F[:, :, PLACE] = by_axis @ (R @ self.axis_by_place)
-        F[:, :, PATH] = R
-        return F, away @ self.path + away @ self.e_a @ by_axis.T
+        H = np.empty((angle.shape[0], *self.H.shape))
+        H[:] = self.H
+        H[:, :, U] = 0.0
+        H[:, :, PLACE] = by_axis @ (R @ self.axis_by_place)
+        H[:, :, PATH] = R
+        return H, away @ self.path + away @ self.e_a @ by_axis.T

@@ -9,6 +9,8 @@ in the propagated state only, the path: int of the velocity error over the epoch
 
 from __future__ import annotations
 
+from sins_align.odo.odometer_model import POSITION, SCALE
+
 PHI = slice(0, 3)
 VELOCITY = slice(3, 6)
 GYRO_BIAS = slice(6, 9)
@@ -16,6 +18,9 @@ ACCEL_BIAS = slice(9, 12)
 GYRO_TURN = slice(12, 15)
 ODOMETER = slice(15, 29)
 SHARED = 29
+# Of the odometer's, in the whole state.
+ODOMETER_SCALE = ODOMETER.start + SCALE
+ODOMETER_POSITION = slice(ODOMETER.start + POSITION.start, ODOMETER.start + POSITION.stop)
 
 # Wander filters: the horizontal part of the Earth's axis, or the azimuth.
 AZIMUTH = slice(29, 31)

@@ -25,7 +25,7 @@ VELOCITY_SHARE = 0.05
 
 
 class Starter:
-    """Collects epochs until the filter of the method can be made.
+    """Collects epochs until the first filter, a wander filter, can be made.
 
     `wander_kf` begins at the first epoch with an odometer, level, and takes in again the
     epochs that told the levels. A filter that needs a heading begins where the coarse

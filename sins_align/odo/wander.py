@@ -36,7 +36,7 @@ _NOTHING = np.zeros(3)
 
 
 class WanderFilter(AidedFilter):
-    """A wander-azimuth filter; fulfils `AidedFilter`.
+    """A wander-azimuth filter.
 
     one_azimuth : whether the azimuth is one state (small-angle model) or two
 
@@ -123,10 +123,10 @@ class WanderFilter(AidedFilter):
         """
         azimuth = self.azimuth()
         mean, P = self.with_one_azimuth(azimuth)
-        heading = np.zeros((3, SIZE))
-        heading[:, PHI] = np.eye(3)
-        heading[2, ALPHA] = -1.0
-        return Posterior(azimuth.alpha, mean, P, heading)
+        phi_by_errors = np.zeros((3, SIZE))
+        phi_by_errors[:, PHI] = np.eye(3)
+        phi_by_errors[2, ALPHA] = -1.0
+        return Posterior(azimuth.alpha, mean, P, phi_by_errors)
 
     def azimuth(self) -> Azimuth:
         """The azimuth, given that the Earth's axis has the length that it has."""
