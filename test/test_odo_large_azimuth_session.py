@@ -238,6 +238,8 @@ def test_a_gap_that_loses_the_azimuth(coarse: str) -> None:
     assert curve.ratio.max() < MOST_SIGMA
     if coarse == "wander":
         assert curve.time_s[-1] > 397.0 and curve.sigma[-1, 2] < 10.0 * ARCMIN
+    else:
+        assert any("the azimuth was lost" in update.status.reason for update in updates)
 
 
 def test_an_odometer_stuck_before_the_azimuth_is_known() -> None:
