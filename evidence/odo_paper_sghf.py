@@ -91,12 +91,18 @@ def figures(scenario: str, coarse: str, drives: Sequence[Drive]) -> Case:
         for axis, row in enumerate(rows):
             label = name if axis == 0 else ""
             lines.append(f"      {label:28s}" + "".join(f"{row[t]:9.4f}" for t in times))
+    lines += _claims(velocity, phi, accel, gyro)
+    return Case(f"fig. 1 to 4: {scenario}, sghf, coarse: {coarse}", len(drives), lines, [])
+
+
+def _claims(velocity: Array, phi: Array, accel: Array, gyro: Array) -> list[str]:
+    """What the paper says of its figures against curves (3, T), as `figures` prints them."""
     speed = np.sqrt((velocity**2).sum(axis=0))
     levels = phi[:2].max(axis=0)
     accel_s = [below_since(row, CONVERGED * ACCEL_PRIOR) for row in accel]
     gyro_s = [below_since(row, CONVERGED * GYRO_PRIOR) for row in gyro]
     levels_s, heading_s = below_since(levels, 1.0), below_since(phi[2], 1.0)
-    lines += [
+    return [
         "      what the paper says of its figures, and whether it is so here:",
         _claim(
             "fig. 1: velocity errors of about 0.5 m/s",
@@ -120,7 +126,6 @@ def figures(scenario: str, coarse: str, drives: Sequence[Drive]) -> Case:
             bool(np.isfinite(gyro_s[:2]).all()) and gyro_s[2] > max(gyro_s[:2]),
         ),
     ]
-    return Case(f"fig. 1 to 4: {scenario}, sghf, coarse: {coarse}", len(drives), lines, [])
 
 
 def _seconds(values: Sequence[float]) -> str:

@@ -4,7 +4,6 @@ bits, and all that an odometer, an IMU and a clock may do. Long runs are `make e
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from odo_sessions import vehicle
 from scipy.stats import chi2
 
 from evidence.monte_carlo import misalignment_of
@@ -38,7 +38,7 @@ from sins_align.config import OdoConfig
 from sins_align.limits import heading_limit
 from sins_align.odo.standing import StandingDetector
 from sins_align.session import Session, Update, is_sound
-from sins_align.simulate import VehicleOptions, VehicleRun, simulate_vehicle
+from sins_align.simulate import VehicleOptions, VehicleRun
 from sins_align.types import Estimate, ImuSamples, OdometerSamples, Position, State
 from sins_align.units import ARCMIN, DEG
 
@@ -48,15 +48,6 @@ SEEDS = 8
 MOST_SIGMA = 4.0
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"there is no {DATA}")
-
-
-@functools.cache
-def vehicle(scenario: str, duration_s: float, **changes: Any) -> VehicleRun:
-    options = {"rate_hz": 100.0, "seed": 3, **changes}
-    run = simulate_vehicle(VehicleOptions(scenario=scenario, duration_s=duration_s, **options))
-    for array in (*run.imu, *run.odometer):
-        array.flags.writeable = False  # the tests share them
-    return run
 
 
 def config_of(run: VehicleRun, **parameters: Any) -> OdoConfig:
