@@ -106,6 +106,8 @@ class WanderFilter(AidedFilter):
             e[:2] -= dx[AZIMUTH]
         self.navigation.e_a = e
         if not self.one_azimuth:
+            # The sum of the variances of sin and cos. To impose their circle any earlier costs
+            # 14 deg for good, as it is a curve and not a line.
             variance = float(self.P[AZIMUTH, AZIMUTH].trace())
             if variance < FINE_VARIANCE * self.cos_latitude**2:
                 self._hand_over()
