@@ -13,6 +13,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from sins_align.config import odo_config
+from sins_align.reasons import ODOMETER_TYPE, Finding
 from sins_align.ros.bags_topics import odometer_type
 from sins_align.ros.diagnostics import odometer_texts
 from sins_align.ros.node_base import AlignNode
@@ -45,14 +46,13 @@ class OdoAlignNode(AlignNode):
         rows, self._rows = self._rows, []
         return self.session.add_odometer(odometer_samples(rows))
 
-    def input_remedy(self) -> str:
+    def input_findings(self) -> list[Finding]:
         """Says so where the topic carries another type, which ROS does not."""
         publishers = self.get_publishers_info_by_topic(self._odom.topic_name)
         types = {publisher.topic_type for publisher in publishers}
         if not types or self._odom_type in types:
-            return ""
-        other = min(types)
-        return f"topic odom carries {other}, and odom_type is {self.values['odom_type']}"
+            return []
+        return [ODOMETER_TYPE(other=min(types), wanted=self.values["odom_type"])]
 
     def diagnostic_texts(self, estimate: Estimate | None) -> dict[str, str]:
         """The keys of the odometer."""

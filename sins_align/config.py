@@ -61,6 +61,7 @@ class SwingConfig:
     lever_arm_prior : (3,) in b [m], with lever_arm_prior_sigma [m] per axis
     position_noise : floor, 1 sigma of the swing centre at a filter step [m]
     position_walk : random walk of the swing centre [m/sqrt(s)]
+    latitude_check : 'warn', 'fail' or 'off'
     """
 
     method: str
@@ -74,6 +75,7 @@ class SwingConfig:
     position_noise: float
     position_walk: float
     paper: PaperConfig
+    latitude_check: str = "warn"
 
 
 @dataclass(frozen=True)
@@ -115,6 +117,7 @@ class OdoConfig:
     stationary : the vehicle stands, and needs no odometer
     coarse, fading, nodes : of the methods with a large azimuth error: what they start from,
         strong tracking, nodes of the Gauss-Hermite rule
+    latitude_check : 'warn', 'fail' or 'off'
     """
 
     method: str
@@ -127,6 +130,7 @@ class OdoConfig:
     coarse: str
     fading: str
     nodes: int
+    latitude_check: str = "warn"
 
 
 def _position(values: Mapping[str, Any]) -> Position | None:
@@ -177,6 +181,7 @@ def odo_config(parameters: Mapping[str, object] | None = None) -> OdoConfig:
         coarse=values["coarse"],
         fading=values["fading"],
         nodes=values["gauss_hermite_nodes"],
+        latitude_check=values["latitude_check"],
         odometer=OdometerConfig(
             timeout_s=values["odom_timeout_s"],
             latency=values["odometer_latency_s"],
@@ -215,6 +220,7 @@ def swing_config(parameters: Mapping[str, object] | None = None) -> SwingConfig:
         sampling=ImuSampling(values["imu_sampling"]),
         completion=_completion(values),
         passes=values["passes"],
+        latitude_check=values["latitude_check"],
         lever_arm_prior=np.array(values["lever_arm_prior_m"]),
         lever_arm_prior_sigma=values["lever_arm_prior_sigma_m"],
         position_noise=noise,

@@ -1,4 +1,4 @@
-"""What the declared sensors and the latitude allow."""
+"""What the declared sensors, the latitude and the time allow."""
 
 from __future__ import annotations
 
@@ -7,17 +7,34 @@ import math
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
 
+# A threshold that is not reached within this time of standing will not be waited for [s].
+PATIENCE_S = 3600.0
 
-def heading_limit(grade: ImuGrade, latitude: float) -> float:
-    """1-sigma heading that no still time improves on [rad]: sigma_bg / (Omega cos L).
 
-    The east gyro's bias cannot be told from a heading error; its instability adds to it.
-    NaN at the poles, where heading has no meaning.
+def heading_limit(grade: ImuGrade, latitude: float, time_s: float = math.inf) -> float:
+    """1-sigma heading of a base that has not turned, after a time [rad].
+
+    sigma^2 = 12 VRW^2 / (g Omega cos L)^2 / T^3 + ARW^2 / (Omega cos L)^2 / T
+              + (sigma_bg / (Omega cos L))^2
+
+    The last one no time improves on: the east gyro's bias cannot be told from a heading error;
+    its instability adds to it. VRW [m/s/sqrt(s)], ARW [rad/sqrt(s)]; docs/swing.md. NaN at the
+    poles, where heading has no meaning, and at no time at all.
+
+    Parameters
+    ----------
+    latitude : [rad]; time_s : since the first sample [s]
     """
     horizontal = EARTH_RATE * math.cos(latitude)
-    if horizontal < 1e-9 * EARTH_RATE:
+    if horizontal < 1e-9 * EARTH_RATE or not time_s > 0.0:
         return math.nan
-    return math.hypot(grade.gyro_bias, grade.gyro_bias_instability) / horizontal
+    rate = math.hypot(
+        grade.gyro_bias,
+        grade.gyro_bias_instability,
+        grade.gyro_arw * time_s**-0.5,
+        math.sqrt(12.0) * grade.accel_vrw / GRAVITY_EQUATOR * time_s**-1.5,
+    )
+    return rate / horizontal
 
 
 def level_limit(grade: ImuGrade) -> float:

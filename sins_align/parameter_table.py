@@ -68,6 +68,12 @@ COMMON_PARAMETERS: tuple[Parameter, ...] = (
         high=324000.0,
     ),
     Parameter("hold_s", 10.0, "and has been for so long", low=0.0, high=3600.0),
+    Parameter(
+        "latitude_check",
+        "warn",
+        "where the latitude is not that of the data: warn, and align all the same; fail; or off",
+        choices=("warn", "fail", "off"),
+    ),
     Parameter("publish_rate_hz", 50.0, "rate of the attitude output", low=0.1, high=1000.0),
     Parameter("nav_frame", "map", "frame_id of the ENU frame"),
     Parameter("result_file", "", "result.json is written here; empty: nowhere"),

@@ -9,18 +9,32 @@ were handed over.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.config import OdoConfig, SwingConfig
+from sins_align.config import Completion, OdoConfig, SwingConfig
 from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.intake import Intake
-from sins_align.limits import heading_limit, level_limit
 from sins_align.odo import make_odo_aligner
+from sins_align.odo.aligner import TURN_MOTION
 from sins_align.odo.odometer_intake import OdometerIntake
-from sins_align.status import Completer, Declared
+from sins_align.reasons import (
+    BEGAN_ANEW,
+    ESTIMATE_BROKE,
+    FORCE_IN_G,
+    FORCE_SIZE,
+    GRAVITY_REMOVED,
+    IMU_REFUSED,
+    LEVELLING,
+    NO_IMU,
+    NO_POSITION,
+    SLOW_IMU,
+    Finding,
+)
+from sins_align.status import Completer, Declared, Expectation
 from sins_align.swing import make_aligner
 from sins_align.types import (
     Advance,
@@ -36,19 +50,17 @@ from sins_align.types import (
     Status,
 )
 
-NO_POSITION = "no latitude"
-NO_POSITION_REMEDY = "set latitude_deg, or publish a NavSatFix on topic fix"
-STREAM_REMEDY = "check the IMU's stamps, units and rate"
-BASE_REMEDY = "keep the base in place; check imu_grade, imu_sampling and the latitude"
-VEHICLE_REMEDY = "check the odometer, imu_grade, imu_sampling and the latitude"
-GRADE_REMEDY = "check latitude_deg, imu_grade and the IMU's units"
 # 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
 MAX_INTERVAL_S = 0.125
 # How far back an odometer's samples are of use to an alignment that begins [ns].
 KEPT_NS = 5_000_000_000
 # Root mean square over a block [m/s^2]; a swing adds little to gravity.
 LEAST_FORCE, GREATEST_FORCE = 7.0, 14.0
-UNITS_REMEDY = "the IMU has to give specific force in m/s^2, gravity included"
+# Of gravity in g, and of what is left where gravity has been taken off.
+LEAST_FORCE_IN_G, GREATEST_FORCE_IN_G = 0.7, 1.4
+
+
+TURN_BASE = "turn the base by 90 deg or more"
 
 
 class Update(NamedTuple):
@@ -104,25 +116,32 @@ class Session:
             self._aided.aid(recent)
 
     def _make_completer(self) -> Completer:
-        grade = self._config.grade
+        config, grade = self._config, self._config.grade
         bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
-        completion, level = self._config.completion, level_limit(grade)
-        if isinstance(self._config, SwingConfig):
-            return Completer(completion, level, Declared(gyro_bias=bias), BASE_REMEDY)
-        triad = GRAVITY_EQUATOR * math.hypot(grade.accel_scale, grade.misalignment)
-        accel = math.hypot(grade.accel_bias, triad)
-        declared = Declared(bias, accel, self._config.odometer.scale_sigma)
-        return Completer(completion, level, declared, VEHICLE_REMEDY)
+        declared, motion = Declared(gyro_bias=bias), TURN_BASE
+        if isinstance(config, OdoConfig):
+            triad = GRAVITY_EQUATOR * math.hypot(grade.accel_scale, grade.misalignment)
+            accel = math.hypot(grade.accel_bias, triad)
+            declared, motion = Declared(bias, accel, config.odometer.scale_sigma), TURN_MOTION
+        expectation = Expectation(grade, self._position, declared, config.latitude_check, motion)
+        return Completer(config.completion, expectation)
 
     def _waiting_status(self) -> Status:
+        return Status(State.WAITING, tuple(self._waiting_findings()))
+
+    def _waiting_findings(self) -> Iterator[Finding]:
         if self._position is None:
-            return Status(State.WAITING, NO_POSITION, NO_POSITION_REMEDY)
+            yield NO_POSITION()
         accepted = self._counts.imu_samples - self._counted[0]
         rejected = self._counts.imu_rejected - self._counted[1]
         if rejected > accepted:
-            reason = f"{rejected} of {accepted + rejected} IMU samples refused"
-            return Status(State.WAITING, reason, STREAM_REMEDY)
-        return Status(State.WAITING, self._begin_reason or "no IMU data")
+            yield IMU_REFUSED(refused=rejected, total=accepted + rejected)
+        elif accepted == 0:
+            yield NO_IMU()
+        elif self._position is not None:
+            yield LEVELLING(elapsed_s=0.0)
+        if self._begin_reason:
+            yield BEGAN_ANEW(cause=self._begin_reason)
 
     @property
     def config(self) -> SwingConfig | OdoConfig:
@@ -231,7 +250,7 @@ class Session:
         assert aligner is not None
         fault = find_fault(block)
         if fault is not None:
-            return self._fail(int(block.stamp_ns[-1]), *fault)
+            return self._fail(int(block.stamp_ns[-1]), fault)
         return self._step(lambda: aligner.update(block))
 
     def _step(self, work: Callable[[], list[Advance]]) -> list[Update]:
@@ -240,24 +259,23 @@ class Session:
             steps = work()
         except np.linalg.LinAlgError as error:
             stamp_ns = self._counts.last_stamp_ns
-            return self._fail(0 if stamp_ns is None else stamp_ns, str(error), GRADE_REMEDY)
-        limit = heading_limit(self._config.grade, self._position.latitude)
+            return self._fail(0 if stamp_ns is None else stamp_ns, ESTIMATE_BROKE(cause=error))
         updates: list[Update] = []
         for step in steps:
             if step.estimate is not None and not is_sound(step.estimate):
-                reason = "the estimate broke down: beginning anew"
-                return [*updates, *self._fail(step.stamp_ns, reason, GRADE_REMEDY)]
+                broke = ESTIMATE_BROKE(cause="it is not finite")
+                return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
-            self._status = self._completer.update(step, elapsed, limit, self._begin_reason)
+            self._status = self._completer.update(step, elapsed, self._begin_reason)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates
 
-    def _fail(self, stamp_ns: int, reason: str, remedy: str) -> list[Update]:
+    def _fail(self, stamp_ns: int, fault: Finding) -> list[Update]:
         """The block is of no use; the alignment begins anew with the first one that is."""
         elapsed = self._intake.elapsed_s(stamp_ns)
         self._make_aligner(stamp_ns)
         self._completer = self._make_completer()
-        self._status = Status(State.FAILED, reason, remedy, elapsed)
+        self._status = Status(State.FAILED, (fault,), elapsed)
         return [Update(stamp_ns, None, self._status)]
 
     @property
@@ -271,6 +289,30 @@ class Session:
         if block is None or self._aligner is None:
             return None
         return self._aligner.propagate(block)
+
+    @property
+    def eta_s(self) -> float:
+        """Predicted time until aligned, as far as heading goes [s]; inf: not within an hour.
+
+        That is until sigma of heading is below its threshold, if the motion goes on as it was,
+        and hold_s after that. 0 when aligned, NaN where it cannot be said. A pure function of
+        the samples so far; some milliseconds of work.
+        """
+        status = self.status
+        if status.state is State.ALIGNED:
+            return 0.0
+        if self._aligner is None or status.state is State.FAILED or self._status is None:
+            return math.nan
+        ahead = self._aligner.foresee(self._config.completion.heading_threshold)
+        hold = self._config.completion.hold_s
+        if ahead == 0.0:
+            hold -= self._completer.held_s(status.elapsed_s)
+        return max(ahead + hold, 0.0)
+
+    def set_completion(self, completion: Completion) -> None:
+        """Other thresholds, from the next step on; nothing is lost by it."""
+        self._config = replace(self._config, completion=completion)
+        self._completer.completion = completion
 
     @property
     def conclusion(self) -> Estimate | None:
@@ -288,20 +330,21 @@ class Session:
         return estimate if estimate is not None and is_sound(estimate) else None
 
 
-def find_fault(block: ImuBlock) -> tuple[str, str] | None:
-    """Why nothing can be made of a block, and the remedy; None where something can."""
+def find_fault(block: ImuBlock) -> Finding | None:
+    """Why nothing can be made of a block; None where something can."""
     stamps = block.stamp_ns
     interval = int(stamps[-1] - stamps[0]) * 1e-9 / (stamps.shape[0] - 1)
     if interval > MAX_INTERVAL_S:  # so it may be where samples are lost, but not all steps
         interval = float(np.quantile(np.diff(stamps), 0.25)) * 1e-9
     if interval > MAX_INTERVAL_S:
-        rate = f"the IMU gives {1.0 / interval:.1f} samples a second, 10 are the least"
-        return rate, STREAM_REMEDY
+        return SLOW_IMU(rate_hz=1.0 / interval)
     f = block.f_ib_b
     force = math.sqrt(float(np.einsum("ik,ik->", f, f)) / f.shape[1])
-    if not LEAST_FORCE < force < GREATEST_FORCE:
-        return f"a specific force of {force:.3g} m/s^2 is not that of a base at rest", UNITS_REMEDY
-    return None
+    if LEAST_FORCE < force < GREATEST_FORCE:
+        return None
+    if LEAST_FORCE_IN_G < force < GREATEST_FORCE_IN_G:
+        return FORCE_IN_G(force=force)
+    return (GRAVITY_REMOVED if force < LEAST_FORCE else FORCE_SIZE)(force=force)
 
 
 def is_sound(estimate: Estimate) -> bool:

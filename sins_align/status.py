@@ -1,4 +1,14 @@
-"""When the alignment is complete, and why it is not yet."""
+"""The state machine of both nodes: when the alignment is complete, and why it is not yet.
+
+    waiting   something is missing: IMU, position, odometer, levels, or the base at rest
+    coarse    the levels are known; heading is not, or no better than 2 deg
+    fine      heading is known to 2 deg: from here on errors are small angles
+    aligned   sigma below the thresholds, no doubts, and both for hold_s
+    failed    nothing can be made of the data; begins anew by itself
+
+Every state is entered and left for reasons of the table in `sins_align.reasons`. A state that has
+been reached is left at a bound by `HYSTERESIS` wider than that at which it was entered.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +16,48 @@ import math
 from typing import NamedTuple
 
 from sins_align.config import Completion
+from sins_align.grades import ImuGrade
+from sins_align.limits import PATIENCE_S, heading_limit, level_limit
+from sins_align.reasons import (
+    AT_POLE,
+    BEGAN_ANEW,
+    BIAS_BEYOND,
+    HEADING_COARSE,
+    HEADING_LIMIT,
+    HEADING_SIGMA,
+    HOLDING,
+    INCONSISTENT,
+    LATITUDE_DIFFERS,
+    LATITUDE_WRONG,
+    LEVEL_LIMIT,
+    LEVEL_SIGMA,
+    UNSTEADY,
+    WITNESS_DIFFERS,
+    Finding,
+    Kind,
+)
 from sins_align.rotation import dcm_from_quaternion
-from sins_align.types import Advance, Estimate, State, Status
-from sins_align.units import ARCMIN, ARCSEC
+from sins_align.types import Advance, Estimate, Position, State, Status
+from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
 
 # From here on the levels and heading are small-angle quantities.
 FINE_HEADING_SIGMA = 0.035  # [rad], 2 deg
-POLE_REMEDY = "there is no heading at the pole: check latitude_deg"
-
-
+# What is left at a wider bound than entered: by this.
+HYSTERESIS = 1.25
 # Mean normalised innovation squared over its expectation: beyond this a sigma is not believed.
+# There is no lower bound: a base that stands stiller than declared gives 0.01, and sigma is then
+# too large, which misleads nobody.
 MAX_CONSISTENCY = 2.0
 # Two estimates from the same data may differ by less than independent ones would: normalised square
 # of the difference over its expectation for such.
 MAX_DISAGREEMENT = 1.0
+# Changes of the attitude from one solution to the next, as `consistency`.
+MAX_UNSTEADINESS = 4.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
+# The latitude given and the one of the data differ by so many sigma, and by so much at least [rad].
+MAX_LATITUDE_RATIO = 5.0
+LEAST_LATITUDE_ERROR = 0.1 * DEG
 
 
 class Declared(NamedTuple):
@@ -36,107 +72,165 @@ class Declared(NamedTuple):
     odometer_scale: float = 0.0
 
 
+class Expectation(NamedTuple):
+    """What an alignment is held against.
+
+    grade, position : as declared; position None before it is known
+    declared : estimates far beyond it are not believed
+    latitude_check : 'warn', 'fail' or 'off'
+    motion : what the operator can do for the heading to become observable
+    """
+
+    grade: ImuGrade
+    position: Position | None = None
+    declared: Declared = Declared()
+    latitude_check: str = "off"
+    motion: str = "turn the base by 90 deg or more"
+
+    def heading_limit(self, time_s: float = math.inf) -> float:
+        """See `limits.heading_limit`; NaN before the position is known."""
+        if self.position is None:
+            return math.nan
+        return heading_limit(self.grade, self.position.latitude, time_s)
+
+
 class Completer:
-    """Watches sigma against the thresholds; aligned when below for hold_s.
+    """Watches an alignment step by step.
 
     Parameters
     ----------
     completion : thresholds and time to hold
-    level_limit : what the declared accelerometers allow for the levels [rad]
-    declared : estimates far beyond it are not believed
-    remedy : what helps where the data are not what the settings say
+    expectation : what the alignment is held against
     """
 
-    def __init__(
-        self,
-        completion: Completion,
-        level_limit: float = 0.0,
-        declared: Declared = Declared(),  # noqa: B008 - immutable
-        remedy: str = "",
-    ) -> None:
-        self._completion = completion
-        self._level_limit = level_limit
-        self._remedy = remedy
-        self._declared = declared
+    def __init__(self, completion: Completion, expectation: Expectation) -> None:
+        self.completion = completion
+        self._expectation = expectation
+        self._state = State.WAITING
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
-    def update(self, step: Advance, elapsed_s: float, limit: float, begin_reason: str) -> Status:
+    def update(self, step: Advance, elapsed_s: float, begin_reason: str = "") -> Status:
         """Status after a step of the aligner.
 
         Parameters
         ----------
         step : what the aligner says
         elapsed_s : time from the first sample [s]
-        limit : what the declared gyro and the latitude allow for heading [rad]
         begin_reason : why the alignment began anew, empty at the first start
         """
         estimate = step.estimate
+        limit = self._expectation.heading_limit(elapsed_s)
         if estimate is None:
-            self._below_since_s = self._aligned_at_s = None
-            reason = step.reason or f"collecting data for the coarse attitude ({elapsed_s:.0f} s)"
+            self._forget()
+            self._state = _state_without_estimate(step.findings)
+            findings = step.findings
+            if not findings:
+                findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
             if begin_reason:
-                reason += f"; began anew: {begin_reason}"
-            remedy = step.remedy or self._heading_remedy(limit)
-            return Status(State.COARSE, reason, remedy, elapsed_s, None, limit)
-        missing, remedy = self._missing(estimate, limit)
-        if missing:
-            self._below_since_s = self._aligned_at_s = None
-        elif self._below_since_s is None:
+                findings = (*findings, BEGAN_ANEW(cause=begin_reason))
+            if math.isnan(limit) and elapsed_s > 0.0:
+                findings = (AT_POLE(), *findings)
+            return Status(self._state, findings, elapsed_s, None, limit)
+        missing = self._missing(estimate)
+        doubts = [f for f in step.findings if f.reason.kind is Kind.DOUBT]
+        doubts += self._doubts(estimate)
+        notes = [f for f in step.findings if f.reason.kind is not Kind.DOUBT]
+        notes += self._latitude(estimate)
+        faults = [f for f in notes if f.reason.kind is Kind.FAULT]
+        findings = (*faults, *missing, *doubts, *(f for f in notes if f not in faults))
+        if faults or missing or doubts:
+            self._forget()
+            self._state = State.FAILED if faults else self._degree(estimate)
+            return Status(self._state, findings, elapsed_s, None, limit)
+        if self._below_since_s is None:
             self._below_since_s = elapsed_s
-        held = 0.0 if self._below_since_s is None else elapsed_s - self._below_since_s
-        if not missing and held >= self._completion.hold_s:
-            if self._aligned_at_s is None:
-                self._aligned_at_s = elapsed_s
-            return Status(State.ALIGNED, "", "", elapsed_s, self._aligned_at_s, limit)
-        fine = estimate.misalignment_covariance[2, 2] < FINE_HEADING_SIGMA**2
-        state = State.FINE if fine else State.COARSE
-        if not missing:
-            missing = f"below the thresholds for {held:.0f} of {self._completion.hold_s:g} s"
-        return Status(state, missing, remedy, elapsed_s, None, limit)
+        held = elapsed_s - self._below_since_s
+        if held < self.completion.hold_s:
+            self._state = self._degree(estimate)
+            holding = HOLDING(held_s=held, hold_s=self.completion.hold_s)
+            return Status(self._state, (holding, *findings), elapsed_s, None, limit)
+        self._state = State.ALIGNED
+        if self._aligned_at_s is None:
+            self._aligned_at_s = elapsed_s
+        return Status(self._state, findings, elapsed_s, self._aligned_at_s, limit)
 
-    def _missing(self, estimate: Estimate, limit: float) -> tuple[str, str]:
-        """What is not below its threshold, and what helps; written so that NaN is not."""
+    def _forget(self) -> None:
+        self._below_since_s = self._aligned_at_s = None
+
+    def held_s(self, elapsed_s: float) -> float:
+        """For how long everything has been as it should be [s]."""
+        return 0.0 if self._below_since_s is None else elapsed_s - self._below_since_s
+
+    def _widened(self, bound: float) -> float:
+        """A bound, wider once it has been kept for hold_s."""
+        return bound * HYSTERESIS if self._state is State.ALIGNED else bound
+
+    def _degree(self, estimate: Estimate) -> State:
+        """Coarse or fine."""
+        was_fine = self._state in (State.FINE, State.ALIGNED)
+        bound = FINE_HEADING_SIGMA * (HYSTERESIS if was_fine else 1.0)
+        fine = estimate.misalignment_covariance[2, 2] < bound**2
+        return State.FINE if fine else State.COARSE
+
+    def _missing(self, estimate: Estimate) -> list[Finding]:
+        """What is not below its threshold; written so that NaN is not."""
         east, north, heading = estimate.sigma.tolist()
-        missing, remedies = [], []
-        if not heading < self._completion.heading_threshold:
-            threshold = self._completion.heading_threshold / ARCMIN
-            missing.append(f"heading sigma {heading / ARCMIN:.2f}' not below {threshold:g}'")
-            remedies.append(self._heading_remedy(limit))
-        level_threshold = self._completion.level_threshold
+        completion, missing = self.completion, []
+        if not heading < self._widened(completion.heading_threshold):
+            missing.append(
+                HEADING_SIGMA(
+                    sigma=heading / ARCMIN, threshold=completion.heading_threshold / ARCMIN
+                )
+            )
+            missing += self._heading_limit()
+        level_threshold = self._widened(completion.level_threshold)
         if not (east < level_threshold and north < level_threshold):
-            level, threshold = max(east, north) / ARCSEC, level_threshold / ARCSEC
-            missing.append(f'level sigma {level:.1f}" not below {threshold:g}"')
-            remedies.append(self._level_remedy())
-        doubts = self._doubts(estimate)
-        if doubts:
-            missing += doubts
-            remedies.append(self._remedy)
-        return "; ".join(missing), "; ".join(dict.fromkeys(filter(None, remedies)))
+            level, threshold = max(east, north) / ARCSEC, completion.level_threshold / ARCSEC
+            missing.append(LEVEL_SIGMA(sigma=level, threshold=threshold))
+            limit = level_limit(self._expectation.grade)
+            if not limit < completion.level_threshold:
+                missing.append(LEVEL_LIMIT(threshold=threshold, limit=limit / ARCSEC))
+        return missing
 
-    def _doubts(self, estimate: Estimate) -> list[str]:
+    def _heading_limit(self) -> list[Finding]:
+        """Whether standing will ever do."""
+        expectation, threshold = self._expectation, self.completion.heading_threshold
+        limit = expectation.heading_limit(PATIENCE_S)
+        if expectation.position is None or limit < threshold:
+            return []
+        if math.isnan(limit):
+            return [AT_POLE()]
+        grade = expectation.grade
+        bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability) / DEG_PER_H
+        return [
+            HEADING_LIMIT(
+                threshold=threshold / ARCMIN,
+                bias_deg_h=round(bias, 4),
+                limit=limit / ARCMIN,
+                motion=expectation.motion,
+            )
+        ]
+
+    def _doubts(self, estimate: Estimate) -> list[Finding]:
         """Why sigma is not to be believed."""
         doubts = []
-        if estimate.consistency > MAX_CONSISTENCY:
-            doubts.append(
-                f"the innovations are {estimate.consistency:.1f} times what they should be"
-            )
+        if estimate.consistency > self._widened(MAX_CONSISTENCY):
+            doubts.append(INCONSISTENT(ratio=estimate.consistency))
+        if estimate.steadiness > self._widened(MAX_UNSTEADINESS):
+            doubts.append(UNSTEADY(ratio=math.sqrt(estimate.steadiness)))
         witness = estimate.witness
-        if witness is not None and not witness.square <= MAX_DISAGREEMENT:
+        if witness is not None and not witness.square <= self._widened(MAX_DISAGREEMENT):
             heading, ratio = abs(float(witness.phi[2])) / ARCMIN, math.sqrt(witness.square)
-            doubts.append(
-                f"{witness.name} beside it differs by {heading:.1f}' in heading, in all by"
-                f" {ratio:.1f} of the sigma of both"
-            )
+            doubts.append(WITNESS_DIFFERS(name=witness.name, heading=heading, ratio=ratio))
         for what, found, declared in self._beyond(estimate):
-            if declared > 0.0 and found > MAX_BIAS_RATIO * declared:
-                ratio = found / declared
-                doubts.append(f"the estimated {what} is {ratio:.1f} times what is declared")
+            if declared > 0.0 and found > self._widened(MAX_BIAS_RATIO) * declared:
+                doubts.append(BIAS_BEYOND(what=what, ratio=found / declared))
         return doubts
 
     def _beyond(self, estimate: Estimate) -> list[tuple[str, float, float]]:
         """Estimates and what is declared of them, 1 sigma."""
-        declared = self._declared
+        declared = self._expectation.declared
         found = [("gyro bias", max(map(abs, estimate.gyro_bias.tolist())), declared.gyro_bias)]
         if declared.accel_bias > 0.0:
             # Along up, it also stands for a height that is wrong.
@@ -148,20 +242,22 @@ class Completer:
             found.append(("odometer scale error", scale, declared.odometer_scale))
         return found
 
-    def _heading_remedy(self, limit: float) -> str:
-        if math.isnan(limit):
-            return POLE_REMEDY
-        if limit < self._completion.heading_threshold:
-            return ""
-        return (
-            f"the declared gyro bias allows {limit / ARCMIN:.2f}' at this latitude: raise"
-            " heading_threshold_arcmin, turn by 90 deg, or use a better gyro"
-        )
+    def _latitude(self, estimate: Estimate) -> list[Finding]:
+        """Whether the latitude given is that of the data."""
+        expectation, own = self._expectation, estimate.latitude
+        if own is None or expectation.position is None or expectation.latitude_check == "off":
+            return []
+        given = expectation.position.latitude
+        off = abs(own.latitude - given)
+        if not off > max(LEAST_LATITUDE_ERROR, MAX_LATITUDE_RATIO * own.sigma):
+            return []
+        reason = LATITUDE_WRONG if expectation.latitude_check == "fail" else LATITUDE_DIFFERS
+        found, sigma = own.latitude / DEG, own.sigma / DEG
+        return [reason(given_deg=given / DEG, found_deg=found, sigma_deg=sigma)]
 
-    def _level_remedy(self) -> str:
-        if self._level_limit < self._completion.level_threshold:
-            return ""
-        return (
-            f'the declared accelerometer bias allows {self._level_limit / ARCSEC:.1f}" on a'
-            " base that does not tilt: raise level_threshold_arcsec, or use better accelerometers"
-        )
+
+def _state_without_estimate(findings: tuple[Finding, ...]) -> State:
+    kinds = {finding.reason.kind for finding in findings}
+    if Kind.FAULT in kinds:
+        return State.FAILED
+    return State.WAITING if Kind.WAIT in kinds else State.COARSE

@@ -12,6 +12,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sins_align.reasons import Finding, texts
+
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
@@ -124,6 +126,13 @@ class OdometerEstimate:
     lever_arm_covariance: Array
 
 
+class LatitudeEstimate(NamedTuple):
+    """The latitude that the data tell, with its 1 sigma [rad]."""
+
+    latitude: float
+    sigma: float
+
+
 class Witness(NamedTuple):
     """Another estimate of the same attitude, from the same data.
 
@@ -151,6 +160,9 @@ class Estimate:
     consistency : mean normalised innovation squared over its expected value, of late: above 1
         the data are worse than declared, below 1 better; NaN before there is an innovation
     witness : another estimate from the same data, where there is one
+    steadiness : mean square of the attitude's changes from solution to solution over what its
+        covariance allows; NaN where it is not known
+    latitude : as the data tell it, None where they do not
     """
 
     stamp_ns: int
@@ -164,6 +176,8 @@ class Estimate:
     odometer: OdometerEstimate | None = None
     consistency: float = float("nan")
     witness: Witness | None = None
+    steadiness: float = float("nan")
+    latitude: LatitudeEstimate | None = None
 
     @property
     def sigma(self) -> Array:
@@ -175,18 +189,32 @@ class Estimate:
 class Status:
     """Where the alignment stands, and why not further.
 
-    reason : why it is not aligned yet, in words; empty when aligned
-    remedy : what the operator can do; empty when nothing needs doing
+    findings : why it is not aligned yet; of an aligned one what is to be said all the same
     aligned_at_s : time from the first sample to completion [s], None before
-    heading_limit : what the declared gyro and the latitude allow [rad], NaN when unknown
+    heading_limit : what declared sensors, latitude and the time so far allow [rad], NaN when
+        unknown
     """
 
     state: State
-    reason: str = ""
-    remedy: str = ""
+    findings: tuple[Finding, ...] = ()
     elapsed_s: float = 0.0
     aligned_at_s: float | None = None
     heading_limit: float = float("nan")
+
+    @property
+    def reason(self) -> str:
+        """Why it is not aligned yet, in words; empty when there is nothing to say."""
+        return texts(self.findings)[0]
+
+    @property
+    def remedy(self) -> str:
+        """What the operator can do; empty when nothing needs doing."""
+        return texts(self.findings)[1]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The findings' names in the table of reasons."""
+        return tuple(dict.fromkeys(f.reason.key for f in self.findings))
 
 
 @dataclass
@@ -240,13 +268,13 @@ class Advance(NamedTuple):
     """How far an aligner has come.
 
     stamp_ns : of the last sample used [ns]
-    estimate : None before the coarse attitude exists; reason, remedy: why not, and what helps
+    estimate : None before the coarse attitude exists
+    findings : why not, or what there is to be said of it
     """
 
     stamp_ns: int
     estimate: Estimate | None
-    reason: str = ""
-    remedy: str = ""
+    findings: tuple[Finding, ...] = ()
 
 
 class Aligner(Protocol):
@@ -273,6 +301,13 @@ class Aligner(Protocol):
         """The best estimate from all samples to the end of `block`; changes nothing.
 
         Where `update` leaves something for later, this does not: for the end of a run.
+        """
+
+    def foresee(self, heading: float) -> float:
+        """When 1 sigma of heading will be below `heading` [rad], in time from now [s].
+
+        By the covariance propagated ahead under the motion seen so far; changes nothing. inf:
+        not within an hour; NaN: it cannot be said.
         """
 
 

@@ -24,6 +24,17 @@ from sins_align.odo.pairing import EPOCH_S, Paired, Pairing
 from sins_align.odo.standing import StandingDetector
 from sins_align.odo.start import Starter
 from sins_align.odo.wander import WanderFilter
+from sins_align.reasons import (
+    AT_POLE,
+    AZIMUTH_LOST,
+    HEADING_COARSE,
+    HEADING_UNOBSERVABLE,
+    INCONSISTENT,
+    LEVELLING,
+    NO_ODOMETER,
+    UNOBSERVABLE_HERE,
+    Finding,
+)
 from sins_align.rotation import (
     dcm_from_quaternion,
     log_rotation,
@@ -52,15 +63,9 @@ MOST_BEGINNINGS = 3
 # Once the azimuth is known, nothing is gained by epochs as short as before.
 LONG_EPOCH_S = 2.0
 
-SILENT = "no odometer"
-SILENT_REMEDY = "publish topic odom, or set aiding to stationary if the vehicle stands"
-POLE = "there is no heading at the pole"
-LOST = "the azimuth was lost (samples missing, or an odometer that misleads): beginning anew"
-CHECK_REMEDY = "check the odometer, imu_grade, imu_sampling and aiding"
-TURN_REMEDY = "drive turns: standing, the declared gyro bias does not allow it"
+TURN_MOTION = "drive a circle, or turn by 90 deg or more"
 # Nearer to a pole the Earth's rate is vertical, and no gyro of a vehicle finds north.
 LEAST_COS_LATITUDE = 0.02
-UNOBSERVABLE_REMEDY = "this gyro cannot find north here: there is no remedy but a better one"
 
 
 class OdoAligner:
@@ -149,7 +154,7 @@ class OdoAligner:
             self._witness = _compare(self._known, knowledge_of(self._wander))
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
-            return Advance(stamp_ns, None, *self._why_not())
+            return Advance(stamp_ns, None, self._why_not())
         return Advance(stamp_ns, self._estimate)
 
     def _is_stillborn(self, filter_: AidedFilter) -> bool:
@@ -210,34 +215,40 @@ class OdoAligner:
         least = start_sigma(self._config.odometer) ** 2
         return variance < least and wander.consistency <= PUBLISH_CONSISTENCY
 
-    def _why_not(self) -> tuple[str, str]:
-        """Why there is no estimate yet, and what helps."""
+    def _why_not(self) -> tuple[Finding, ...]:
+        """Why there is no estimate yet."""
         if math.isnan(self._limit):
-            return POLE, ""
+            return (AT_POLE(),)
         if self._is_polar:
-            limit = f"the declared gyro bias allows {math.degrees(self._limit):.0f} deg"
-            return f"heading is unobservable at this latitude: {limit}", UNOBSERVABLE_REMEDY
+            return (UNOBSERVABLE_HERE(limit_deg=math.degrees(self._limit)),)
         if self._filter is None:
             if self._has_lost_azimuth:
-                return LOST, CHECK_REMEDY
+                return (AZIMUTH_LOST(),)
             # The first epoch is never whole: that alone means nothing.
-            silent = self._starter.silent > 2
-            return (SILENT, SILENT_REMEDY) if silent else ("", "")
+            if self._starter.silent > 2:
+                return (NO_ODOMETER(),)
+            return (LEVELLING(elapsed_s=self._starter.collected_s),)
         assert self._known is not None
         sigma = math.degrees(math.sqrt(max(float(self._known.covariance[2, 2]), 0.0)))
-        reason = f"heading sigma {sigma:.0f} deg, not below {math.degrees(PUBLISH_SIGMA):.0f}"
+        bound = math.degrees(PUBLISH_SIGMA)
+        findings = [HEADING_COARSE(sigma=f"sigma {sigma:.0f} deg, not below {bound:.0f}")]
         if self._filter.consistency > PUBLISH_CONSISTENCY:
-            ratio = self._filter.consistency
-            return (
-                f"{reason}; the innovations are {ratio:.1f} times what they should be",
-                CHECK_REMEDY,
-            )
-        return reason, "" if self._limit < PUBLISH_SIGMA else TURN_REMEDY
+            findings.append(INCONSISTENT(ratio=self._filter.consistency))
+        elif self._limit > PUBLISH_SIGMA:
+            limit = f"{math.degrees(self._limit):.1f} deg"
+            findings.append(HEADING_UNOBSERVABLE(limit=limit, motion=TURN_MOTION))
+        return tuple(findings)
 
     @property
     def estimate(self) -> Estimate | None:
         """At the end of the last epoch; None before heading deserves the name."""
         return self._estimate
+
+    def foresee(self, heading: float) -> float:
+        """See `Aligner`."""
+        if self._estimate is not None and self._estimate.sigma[2] < heading:
+            return 0.0
+        return math.nan
 
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside."""

@@ -33,12 +33,14 @@ class Starter:
 
     heading_sigma : 1 sigma of the heading that it needs [rad]; None: it needs none
     silent : epochs without odometer so far, before the first one with it
+    collected_s : time since the first one with it [s]
     """
 
     def __init__(self, config: OdoConfig, position: Position, heading_sigma: float | None) -> None:
         self._config, self._position = config, position
         self._heading_sigma = heading_sigma
         self.silent = 0
+        self.collected_s = 0.0
         self._begin()
 
     def _begin(self) -> None:
@@ -59,6 +61,7 @@ class Starter:
                 self.silent += 1
                 return None
             self._first = epoch
+        self.collected_s += epoch.duration_s
         self._coarse.quantum = quantum
         self._coarse.add(epoch, standing)
         if self._heading_sigma is None:

@@ -6,12 +6,12 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from sins_align.reasons import Finding, texts
 from sins_align.session import Session
 from sins_align.types import Estimate, State, Status
-from sins_align.units import ARCMIN
+from sins_align.units import ARCMIN, DEG
 
 UNKNOWN = "unknown"
-SILENT_REMEDY = "check that the IMU publishes on topic imu, and its QoS"
 ODOMETER_KEYS = (
     "odometer_scale_error", "odometer_scale_sigma", "odometer_latency_s", "odometer_latency_sigma_s"
 )  # fmt: skip
@@ -28,9 +28,9 @@ def number_text(value: float | None, digits: int = 3) -> str:
 def diagnostic_status(
     session: Session,
     name: str,
-    silent_s: float | None,
     estimate: Estimate | None,
-    remedy: str = "",
+    eta_s: float,
+    inputs: tuple[Finding, ...] = (),
 ) -> DiagnosticStatus:
     """Level, message and the keys that every node has.
 
@@ -38,26 +38,33 @@ def diagnostic_status(
     ----------
     session : as it stands now
     name : of the node, with its namespace
-    silent_s : how long no usable IMU sample has come [s]; None: they do come
     estimate : of the session
-    remedy : of something that only the node knows of; it comes before those of the session
+    eta_s : predicted time to go [s]
+    inputs : what only the node knows of its inputs; comes before what the session says
     """
     status = session.status
-    level, message = _level(status, silent_s)
+    inputs = tuple(f for f in inputs if f.reason.key not in status.keys)
+    findings = (*inputs, *status.findings)
+    reason, remedy = texts(findings)
+    level = _level(status, inputs)
     counts = session.counts
     sigma = (None,) * 3 if estimate is None else (estimate.sigma / ARCMIN).tolist()
     consistency = None if estimate is None else estimate.consistency
-    texts = {
+    latitude = None if estimate is None else estimate.latitude
+    values = {
         "state": status.state.value,
-        "reason": message if level != DiagnosticStatus.OK else "",
-        "remedy": remedy or status.remedy or (SILENT_REMEDY if silent_s is not None else ""),
+        "reason": reason,
+        "reason_keys": " ".join(dict.fromkeys(f.reason.key for f in findings)),
+        "remedy": remedy,
         "elapsed_s": number_text(status.elapsed_s),
         "sigma_east_arcmin": number_text(sigma[0], 4),
         "sigma_north_arcmin": number_text(sigma[1], 4),
         "sigma_heading_arcmin": number_text(sigma[2], 4),
         "heading_limit_arcmin": number_text(status.heading_limit / ARCMIN, 4),
-        "eta_s": "0" if status.state is State.ALIGNED else UNKNOWN,
+        "eta_s": number_text(eta_s, 0),
         "consistency": number_text(consistency),
+        "latitude_deg": number_text(None if latitude is None else latitude.latitude / DEG, 4),
+        "latitude_sigma_deg": number_text(None if latitude is None else latitude.sigma / DEG, 4),
         "imu_rate_hz": number_text(session.imu_rate_hz),
         "imu_gaps": str(counts.imu_gaps),
         "imu_rejected": str(counts.imu_rejected),
@@ -66,9 +73,9 @@ def diagnostic_status(
     return DiagnosticStatus(
         level=level,
         name=f"{name}: alignment",
-        message=message,
+        message=reason or status.state.value,
         hardware_id=name,
-        values=key_values(texts),
+        values=key_values(values),
     )
 
 
@@ -102,14 +109,8 @@ def odometer_texts(estimate: Estimate | None) -> dict[str, str]:
     return {key: number_text(x, 6) for key, x in zip(ODOMETER_KEYS, numbers, strict=True)}
 
 
-def _level(status: Status, silent_s: float | None) -> tuple[bytes, str]:
-    if silent_s is not None:
-        missing = [f"no usable IMU data for {silent_s:.0f} s"]
-        if status.remedy and status.state is State.WAITING:
-            missing.append(status.reason)  # something else is missing as well
-        return DiagnosticStatus.ERROR, "; ".join(missing)
-    if status.state in (State.WAITING, State.FAILED):
-        return DiagnosticStatus.ERROR, status.reason
-    if status.state is State.ALIGNED:
-        return DiagnosticStatus.OK, "aligned"
-    return DiagnosticStatus.WARN, status.reason
+def _level(status: Status, inputs: tuple[Finding, ...]) -> bytes:
+    if inputs or status.state in (State.WAITING, State.FAILED):
+        return DiagnosticStatus.ERROR
+    aligned = status.state is State.ALIGNED and not status.findings
+    return DiagnosticStatus.OK if aligned else DiagnosticStatus.WARN

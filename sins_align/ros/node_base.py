@@ -23,9 +23,11 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from sins_align.parameters import parameters_of
+from sins_align.reasons import IMU_SILENT, NO_IMU, Finding, Kind
 from sins_align.ros import messages
 from sins_align.ros.command import error_text
 from sins_align.ros.diagnostics import diagnostic_status, key_values
+from sins_align.ros.eta import EtaClock
 from sins_align.ros.fix import position_from_fix
 from sins_align.ros.imu_inbox import ImuInbox, SilenceWatch
 from sins_align.ros.node_parameters import declare_parameters
@@ -90,7 +92,9 @@ class AlignNode(Node):
         self._begun = time.monotonic()
         self._estimate_s = 0.0
         self._silence = SilenceWatch()
+        self._eta = EtaClock()
         self._logged_state = self.session.status.state
+        self._logged_keys: set[str] = set()
         self._logged_restarts = 0
         self._aligned = False
         self._create_outputs()
@@ -157,9 +161,9 @@ class AlignNode(Node):
         """Hand over what has come beside the IMU. Nothing here; for a node's own inputs."""
         return []
 
-    def input_remedy(self) -> str:
-        """What is to be done about an input of the node's own; '' if nothing."""
-        return ""
+    def input_findings(self) -> list[Finding]:
+        """What is wrong with an input of the node's own. Nothing here."""
+        return []
 
     def diagnostic_texts(self, estimate: Estimate | None) -> dict[str, str]:
         """Keys of the diagnostics that only this node has. None here."""
@@ -210,17 +214,25 @@ class AlignNode(Node):
             self.get_logger().warning(f"the alignment began anew: {self.session.begin_reason}")
         if status.state is not self._logged_state:
             self._logged_state = status.state
-            text = ": ".join(filter(None, (status.state.value, status.reason)))
-            if status.state is State.FAILED:
-                self.get_logger().error(text)
-            else:
-                self.get_logger().info(text)
+            self._log(status.state, ": ".join(filter(None, (status.state.value, status.reason))))
+            self._logged_keys = set(status.keys)
+        for finding in status.findings:
+            key, kind = finding.reason.key, finding.reason.kind
+            if key not in self._logged_keys and kind is not Kind.PROGRESS:
+                self._logged_keys.add(key)
+                self._log(status.state, f"{status.state.value}: {finding.text}")
         aligned = status.state is State.ALIGNED
         if aligned != self._aligned:
             self._aligned = aligned
             self.send(self._aligned_publisher, Bool(data=aligned))
             if aligned:
                 self._save()
+
+    def _log(self, state: State, text: str) -> None:
+        if state is State.FAILED:
+            self.get_logger().error(text)
+        else:
+            self.get_logger().info(text)
 
     def _publish_attitude(self, samples: ImuSamples) -> None:
         estimate = self.session.estimate
@@ -285,8 +297,13 @@ class AlignNode(Node):
         self._flush()
         estimate = self.session.estimate
         name = self.get_fully_qualified_name().lstrip("/")  # two nodes may differ in no more
+        inputs = self.input_findings()
         silent_s = self._silence.silent_s(self.session.counts)
-        status = diagnostic_status(self.session, name, silent_s, estimate, self.input_remedy())
+        if silent_s is not None:
+            never = self.session.counts.imu_samples == 0
+            inputs.append(NO_IMU() if never else IMU_SILENT(silent_s=silent_s))
+        eta_s = self._eta.eta_s(self.session)
+        status = diagnostic_status(self.session, name, estimate, eta_s, tuple(inputs))
         status.values += key_values(self.diagnostic_texts(estimate))
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()

@@ -173,6 +173,12 @@ class InertialAligner:
         """At the end of the last cycle; None before the coarse attitude exists."""
         return self._estimate
 
+    def foresee(self, heading: float) -> float:
+        """See `Aligner`."""
+        if self._estimate is not None and self._estimate.sigma[2] < heading:
+            return 0.0
+        return math.nan
+
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside.
 

@@ -88,6 +88,12 @@ class PaperAligner:
         paper = self._config.paper
         return make_differentiator(paper.differentiator, paper.eso_bandwidth)
 
+    def foresee(self, heading: float) -> float:
+        """Not known: what its covariance will be depends on what it feeds back when."""
+        estimate = self.estimate
+        known = estimate is not None and bool(estimate.sigma[2] < heading)
+        return 0.0 if known else math.nan
+
     def update(self, block: ImuBlock) -> list[Advance]:
         """Take in the next block of samples; a step, unless the estimate is an older one."""
         self._take_in(block)

@@ -1,0 +1,369 @@
+"""Every reason that a status can give, and its remedy: one table for code and operators' page.
+
+A `Reason` is a row; called with its figures it becomes a `Finding`, which is what aligners and
+session hand on. `kind` says what it does: WAIT, the alignment cannot begin; FAULT, nothing can
+be made of the data; DOUBT, the estimate is not believed, and aligned is not claimed; PROGRESS,
+it is on its way; NOTE, said, and nothing else.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class Kind(enum.Enum):
+    """What a reason does to the state."""
+
+    WAIT = "waiting"
+    FAULT = "failed"
+    DOUBT = "not aligned"
+    PROGRESS = "on its way"
+    NOTE = "said only"
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A row of the table.
+
+    key : names it in diagnostics and tests; nodes : who can give it
+    says : the text, with figures to be filled in; remedy : what the operator can do
+    ends : what is behind it, and when it ends
+    """
+
+    key: str
+    kind: Kind
+    says: str
+    remedy: str
+    ends: str
+    nodes: str = "both"
+
+    def __call__(self, **figures: object) -> Finding:
+        """The reason with its figures."""
+        return Finding(self, self.says.format(**figures), self.remedy.format(**figures))
+
+
+class Finding(NamedTuple):
+    """A reason, in words with figures."""
+
+    reason: Reason
+    text: str
+    remedy: str
+
+
+def texts(findings: tuple[Finding, ...]) -> tuple[str, str]:
+    """Reason and remedy of all of them as one text each; what is said twice is said once."""
+    said = dict.fromkeys(f.text for f in findings)
+    helps = dict.fromkeys(f.remedy for f in findings if f.remedy)
+    return "; ".join(said), "; ".join(helps)
+
+
+NO_IMU = Reason(
+    "no_imu",
+    Kind.WAIT,
+    "no IMU data",
+    "check that the IMU publishes on topic imu, and its QoS",
+    "No sample has come. Ends with the first one.",
+)
+IMU_SILENT = Reason(
+    "imu_silent",
+    Kind.WAIT,
+    "no usable IMU data for {silent_s:.0f} s",
+    "check that the IMU publishes on topic imu, and its QoS",
+    "Samples came, and come no more. Ends with the next one; after more than 0.5 s of missing"
+    " samples the alignment begins anew.",
+)
+IMU_REFUSED = Reason(
+    "imu_refused",
+    Kind.WAIT,
+    "{refused} of {total} IMU samples refused",
+    "check the IMU's stamps, units and rate",
+    "Most samples are not finite, out of range, repeated, or older than others. Ends when most"
+    " can be used.",
+)
+NO_POSITION = Reason(
+    "no_position",
+    Kind.WAIT,
+    "no latitude",
+    "set latitude_deg, or publish a NavSatFix on topic fix",
+    "Earth rate and gravity are unknown. Ends with the first valid fix.",
+)
+NO_ODOMETER = Reason(
+    "no_odometer",
+    Kind.WAIT,
+    "no odometer",
+    "publish topic odom, or set aiding to stationary if the vehicle stands",
+    "No odometer sample covers the time of the IMU's. Ends with the first that does.",
+    "odo",
+)
+ODOMETER_TYPE = Reason(
+    "odometer_type",
+    Kind.WAIT,
+    "topic odom carries {other}, and odom_type is {wanted}",
+    "set odom_type to the type that is published, and restart the node",
+    "ROS delivers nothing where the types differ.",
+    "odo",
+)
+LEVELLING = Reason(
+    "levelling",
+    Kind.WAIT,
+    "the levels are not known yet ({elapsed_s:.0f} s)",
+    "",
+    "Gravity is being measured. Ends after some seconds.",
+)
+BEGAN_ANEW = Reason(
+    "began_anew",
+    Kind.NOTE,
+    "began anew: {cause}",
+    "",
+    "Said until there is an estimate again: on request, after a gap of more than 0.5 s, when"
+    " stamps jumped back (a bag that loops), or after the vehicle has moved.",
+)
+VEHICLE_MOVES = Reason(
+    "vehicle_moves",
+    Kind.WAIT,
+    "the vehicle moves: the swing centre has left its place by {moved_m:.1f} m",
+    "stop the vehicle: the alignment begins anew by itself once it is still for {still_s:.0f} s",
+    "The data are not used, and nothing is given out. Ends when the centre is still again.",
+    "swing",
+)
+
+SLOW_IMU = Reason(
+    "slow_imu",
+    Kind.FAULT,
+    "the IMU gives {rate_hz:.1f} samples a second, 10 are the least",
+    "check the IMU's stamps, units and rate",
+    "Ends by itself with the first second of usable data.",
+)
+FORCE_IN_G = Reason(
+    "force_in_g",
+    Kind.FAULT,
+    "a specific force of {force:.3g} is that of gravity in g, not in m/s^2",
+    "have the driver give linear_acceleration in m/s^2: multiply by 9.80665",
+    "Ends by itself with the first second of usable data.",
+)
+GRAVITY_REMOVED = Reason(
+    "gravity_removed",
+    Kind.FAULT,
+    "a specific force of {force:.3g} m/s^2: gravity has been removed",
+    "have the driver give specific force, gravity included, not linear acceleration",
+    "Ends by itself with the first second of usable data.",
+)
+FORCE_SIZE = Reason(
+    "force_size",
+    Kind.FAULT,
+    "a specific force of {force:.3g} m/s^2 is not that of a base at rest",
+    "the IMU has to give specific force in m/s^2, gravity included: check its units and scale",
+    "Gravity may lie on any axis, but it has to have its size. Ends by itself with the first"
+    " second of usable data.",
+)
+GYRO_IN_DEGREES = Reason(
+    "gyro_in_degrees",
+    Kind.FAULT,
+    "by the gyros gravity has turned by {angle_deg:.0f} deg in {span_s:.0f} s, read as degrees a"
+    " second by {scaled_deg:.1f} deg: they give degrees, not radians",
+    "have the driver give angular_velocity in rad/s: multiply by 0.0174533",
+    "Looked for 30 and 60 s after the start, and again at every new start. The alignment begins"
+    " anew every 60 s.",
+)
+AXES_DIFFER = Reason(
+    "axes_differ",
+    Kind.FAULT,
+    "by the gyros gravity has turned by {angle_deg:.0f} deg in {span_s:.0f} s: gyros and"
+    " accelerometers do not have the same axes",
+    "check the axes and signs of angular_velocity and linear_acceleration: both x forward, y left,"
+    " z up, or both turned alike",
+    "Looked for 30 and 60 s after the start, and again at every new start. The alignment begins"
+    " anew every 60 s.",
+    "swing",
+)
+ESTIMATE_BROKE = Reason(
+    "estimate_broke",
+    Kind.FAULT,
+    "the estimate broke down: {cause}",
+    "check latitude_deg, imu_grade and the IMU's units",
+    "The alignment begins anew by itself.",
+)
+LATITUDE_WRONG = Reason(
+    "latitude_wrong",
+    Kind.FAULT,
+    "the latitude is {given_deg:.3f} deg, and by the IMU it is {found_deg:.3f} deg"
+    " (sigma {sigma_deg:.3f})",
+    "check latitude_deg or the fix; if they are right, a gyro's bias is far beyond imu_grade",
+    "With latitude_check: fail. Ends when the two agree, after a restart with the right one.",
+)
+
+AT_POLE = Reason(
+    "at_pole",
+    Kind.DOUBT,
+    "there is no heading at the pole",
+    "there is no heading at the pole: check latitude_deg",
+    "The Earth's rate has no horizontal part.",
+)
+UNOBSERVABLE_HERE = Reason(
+    "unobservable_here",
+    Kind.DOUBT,
+    "heading is unobservable at this latitude: the declared gyro bias allows {limit_deg:.0f} deg",
+    "this gyro cannot find north here: there is no remedy but a better one",
+    "Within 1.1 deg of a pole no heading is given out.",
+    "odo",
+)
+AZIMUTH_LOST = Reason(
+    "azimuth_lost",
+    Kind.DOUBT,
+    "the azimuth was lost (samples missing, or an odometer that misleads): beginning anew",
+    "check the odometer, imu_grade, imu_sampling and aiding",
+    "Ends when the azimuth is known again.",
+    "odo",
+)
+HEADING_COARSE = Reason(
+    "heading_coarse",
+    Kind.PROGRESS,
+    "heading is not known yet: {sigma}",
+    "",
+    "Heading comes with time. Nothing is given out before its sigma is below 3 deg (odo) or 20 deg"
+    " (swing).",
+)
+HEADING_UNOBSERVABLE = Reason(
+    "heading_unobservable",
+    Kind.DOUBT,
+    "heading cannot be told by a gyro of this bias on a vehicle that does not turn: the limit is"
+    " {limit} at this latitude",
+    "{motion}",
+    "The bias of the east gyro and an error of heading are one and the same until the IMU is"
+    " turned. Ends when sigma is below the threshold.",
+)
+HEADING_SIGMA = Reason(
+    "heading_sigma",
+    Kind.PROGRESS,
+    "heading sigma {sigma:.2f}' not below {threshold:g}'",
+    "",
+    "Ends with time; eta_s says when.",
+)
+LEVEL_SIGMA = Reason(
+    "level_sigma",
+    Kind.PROGRESS,
+    'level sigma {sigma:.1f}" not below {threshold:g}"',
+    "",
+    "Ends with time.",
+)
+HOLDING = Reason(
+    "holding",
+    Kind.PROGRESS,
+    "below the thresholds for {held_s:.0f} of {hold_s:g} s",
+    "",
+    "Ends after hold_s.",
+)
+HEADING_LIMIT = Reason(
+    "heading_limit",
+    Kind.DOUBT,
+    "{threshold:g}' cannot be reached with a gyro bias of {bias_deg_h:g} deg/h at this latitude:"
+    " the limit is {limit:.1f}'",
+    "raise heading_threshold_arcmin, {motion}, or use a better gyro",
+    "A threshold below the physical limit of a base that does not turn. Ends when sigma is below"
+    " it all the same, or with another threshold.",
+)
+LEVEL_LIMIT = Reason(
+    "level_limit",
+    Kind.DOUBT,
+    '{threshold:g}" cannot be reached: the declared accelerometer bias allows {limit:.1f}" on a'
+    " base that does not tilt",
+    "raise level_threshold_arcsec, or use better accelerometers",
+    "A threshold below the physical limit. Ends when sigma is below it all the same, or with"
+    " another threshold.",
+)
+SWING_WEAK = Reason(
+    "swing_weak",
+    Kind.DOUBT,
+    "the swing is too small to tell the lever arm, and not too small for it to disturb",
+    "swing the base by a degree or more, keep it still, or give the lever arm: lever_arm_prior_m"
+    " with lever_arm_prior_sigma_m",
+    "The unknown lever arm is a part of sigma until the swing tells it.",
+    "swing",
+)
+CENTRE_MOVES = Reason(
+    "centre_moves",
+    Kind.DOUBT,
+    "the swing centre is not at rest: it moves by {moved_mm:.1f} mm where {declared_mm:.2g} mm is"
+    " declared, and sigma is not below its threshold",
+    "keep the vehicle in place and people off it, or raise position_noise_m",
+    "The position noise has grown with the innovations, and sigma with it. Ends when sigma is"
+    " below its threshold.",
+    "swing",
+)
+INCONSISTENT = Reason(
+    "inconsistent",
+    Kind.DOUBT,
+    "the innovations are {ratio:.1f} times what they should be",
+    "keep to what the settings say: check imu_grade, imu_sampling, the latitude and the odometer",
+    "The mean normalised innovation squared is beyond its bound. Ends when it is inside.",
+)
+UNSTEADY = Reason(
+    "unsteady",
+    Kind.DOUBT,
+    "the attitude changes from solution to solution by {ratio:.1f} times what its sigma allows:"
+    " gyro noise above the declared grade, or a base that creeps",
+    "check imu_grade (gyro_arw_deg_sqrt_h) and imu_sampling; keep the vehicle on firm ground",
+    "Ends when the last changes are what they should be.",
+    "swing",
+)
+WITNESS_DIFFERS = Reason(
+    "witness_differs",
+    Kind.DOUBT,
+    "{name} beside it differs by {heading:.1f}' in heading, in all by {ratio:.1f} of the sigma of"
+    " both",
+    "check imu_grade, imu_sampling, the latitude and the odometer; restart if it stays",
+    "Another estimate from the same data. Ends when the two agree.",
+)
+BIAS_BEYOND = Reason(
+    "bias_beyond",
+    Kind.DOUBT,
+    "the estimated {what} is {ratio:.1f} times what is declared",
+    "check imu_grade, the IMU's units, the latitude, and that the settings say what the vehicle"
+    " does",
+    "A bias so far beyond the declared one is no bias. Ends when the estimate is inside again.",
+)
+LATITUDE_DIFFERS = Reason(
+    "latitude_differs",
+    Kind.NOTE,
+    "the latitude is {given_deg:.3f} deg, and by the IMU it is {found_deg:.3f} deg"
+    " (sigma {sigma_deg:.3f})",
+    "check latitude_deg or the fix; if they are right, a gyro's bias is far beyond imu_grade",
+    "With latitude_check: warn; what it may do to the attitude is in its covariance."
+    " Ends when the two agree.",
+)
+ODOMETER_OPPOSITE = Reason(
+    "odometer_opposite",
+    Kind.DOUBT,
+    "the odometer runs opposite to the motion: its speed changes by {slope:.2f} of what the"
+    " accelerometers say",
+    "turn the sign of the speed on topic odom, or correct mounting_rpy_deg if the IMU looks back",
+    "Ends by itself when they agree: the alignment begins anew.",
+    "odo",
+)
+ODOMETER_SCALE = Reason(
+    "odometer_scale",
+    Kind.DOUBT,
+    "the odometer's speed changes by {slope:.2f} of what the accelerometers say",
+    "have the odometer give m/s (km/h is 3.6 times as much, mph 2.24), or declare"
+    " odometer_scale_sigma honestly",
+    "Ends by itself when they agree: the alignment begins anew.",
+    "odo",
+)
+STORED_CHECK = Reason(
+    "stored_check",
+    Kind.PROGRESS,
+    "checking the stored alignment ({elapsed_s:.0f} of {check_s:.0f} s)",
+    "keep the vehicle in place",
+    "Gravity and the Earth's rate are compared with initial_result_file.",
+)
+STORED_REFUSED = Reason(
+    "stored_refused",
+    Kind.NOTE,
+    "the stored alignment does not fit: {why}",
+    "none is needed: the alignment goes on as if nothing had been stored",
+    "The vehicle has moved since, or moves. Said until there is an estimate.",
+)
+
+REASONS: tuple[Reason, ...] = tuple(v for v in list(globals().values()) if isinstance(v, Reason))

@@ -1,0 +1,30 @@
+"""The predicted time to go, looked up now and then and counted down in between."""
+
+from __future__ import annotations
+
+import math
+
+from sins_align.session import Session
+from sins_align.types import State
+
+# A prediction costs some milliseconds, and longer ones change more slowly.
+LEAST_AGE_S, SHARE = 5.0, 0.1
+
+
+class EtaClock:
+    """Asks the session when its last answer has become old, by the time of the data."""
+
+    def __init__(self) -> None:
+        self._asked_s = -math.inf
+        self._eta_s = math.nan
+
+    def eta_s(self, session: Session) -> float:
+        """Time to go [s]; NaN or inf where there is none to be told."""
+        status = session.status
+        if status.state is State.ALIGNED:
+            self._asked_s = -math.inf
+            return 0.0
+        age = status.elapsed_s - self._asked_s
+        if not 0.0 <= age < LEAST_AGE_S + SHARE * status.elapsed_s:
+            self._asked_s, self._eta_s, age = status.elapsed_s, session.eta_s, 0.0
+        return max(self._eta_s - age, 0.0) if math.isfinite(self._eta_s) else self._eta_s
