@@ -6,9 +6,20 @@ import math
 
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
+from sins_align.types import LatitudeEstimate
 
 # A threshold that is not reached within this time of standing will not be waited for [s].
 PATIENCE_S = 3600.0
+
+# A latitude is not that of the data beyond so many sigma, and beyond so much [rad].
+MAX_LATITUDE_RATIO = 5.0
+LEAST_LATITUDE_ERROR = math.radians(0.1)
+
+
+def latitude_differs(given: float, own: LatitudeEstimate) -> bool:
+    """Whether the latitude that was given [rad] is not that of the data."""
+    off = abs(own.latitude - given)
+    return off > max(LEAST_LATITUDE_ERROR, MAX_LATITUDE_RATIO * own.sigma)
 
 
 def heading_limit(grade: ImuGrade, latitude: float, time_s: float = math.inf) -> float:

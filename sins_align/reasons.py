@@ -3,7 +3,7 @@
 A `Reason` is a row; called with its figures it becomes a `Finding`, which is what aligners and
 session hand on. `kind` says what it does: WAIT, the alignment cannot begin; FAULT, nothing can
 be made of the data; DOUBT, the estimate is not believed, and aligned is not claimed; PROGRESS,
-it is on its way; NOTE, said, and nothing else.
+it is on its way; HINT, said while a sigma is above its threshold; NOTE, said, and nothing else.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ class Kind(enum.Enum):
     FAULT = "failed"
     DOUBT = "not aligned"
     PROGRESS = "on its way"
+    HINT = "why it takes so long"
     NOTE = "said only"
 
 
@@ -164,19 +165,8 @@ GYRO_IN_DEGREES = Reason(
     "by the gyros gravity has turned by {angle_deg:.0f} deg in {span_s:.0f} s, read as degrees a"
     " second by {scaled_deg:.1f} deg: they give degrees, not radians",
     "have the driver give angular_velocity in rad/s: multiply by 0.0174533",
-    "Looked for 30 and 60 s after the start, and again at every new start. The alignment begins"
-    " anew every 60 s.",
-)
-AXES_DIFFER = Reason(
-    "axes_differ",
-    Kind.FAULT,
-    "by the gyros gravity has turned by {angle_deg:.0f} deg in {span_s:.0f} s: gyros and"
-    " accelerometers do not have the same axes",
-    "check the axes and signs of angular_velocity and linear_acceleration: both x forward, y left,"
-    " z up, or both turned alike",
-    "Looked for 30 and 60 s after the start, and again at every new start. The alignment begins"
-    " anew every 60 s.",
-    "swing",
+    "Looked for 30 and 60 s after a start, and every 30 s until it has gone; the alignment then"
+    " begins anew by itself.",
 )
 ESTIMATE_BROKE = Reason(
     "estimate_broke",
@@ -194,6 +184,16 @@ LATITUDE_WRONG = Reason(
     "With latitude_check: fail. Ends when the two agree, after a restart with the right one.",
 )
 
+AXES_DIFFER = Reason(
+    "axes_differ",
+    Kind.HINT,
+    "the base tilts by {tilt_deg:.1f} deg, and the gyros, instead of explaining it, make it"
+    " {left_deg:.1f} deg: gyros and accelerometers may have different axes",
+    "check axes and signs of angular_velocity and linear_acceleration: both x forward, y left,"
+    " z up, or both turned alike",
+    "Looked for 30 and 60 s after a start. Said until sigma is below the thresholds: on a long"
+    " lever arm and a fast swing it may be wrong.",
+)
 AT_POLE = Reason(
     "at_pole",
     Kind.DOUBT,
@@ -275,7 +275,7 @@ LEVEL_LIMIT = Reason(
 )
 SWING_WEAK = Reason(
     "swing_weak",
-    Kind.DOUBT,
+    Kind.HINT,
     "the swing is too small to tell the lever arm, and not too small for it to disturb",
     "swing the base by a degree or more, keep it still, or give the lever arm: lever_arm_prior_m"
     " with lever_arm_prior_sigma_m",
@@ -284,9 +284,9 @@ SWING_WEAK = Reason(
 )
 CENTRE_MOVES = Reason(
     "centre_moves",
-    Kind.DOUBT,
+    Kind.HINT,
     "the swing centre is not at rest: it moves by {moved_mm:.1f} mm where {declared_mm:.2g} mm is"
-    " declared, and sigma is not below its threshold",
+    " declared",
     "keep the vehicle in place and people off it, or raise position_noise_m",
     "The position noise has grown with the innovations, and sigma with it. Ends when sigma is"
     " below its threshold.",

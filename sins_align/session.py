@@ -49,6 +49,7 @@ from sins_align.types import (
     State,
     Status,
 )
+from sins_align.units_watch import UnitsWatch
 
 # 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
 MAX_INTERVAL_S = 0.125
@@ -93,6 +94,7 @@ class Session:
         self._make_aligner(at_ns)
         self._intake = Intake(self._counts)
         self._completer = self._make_completer()
+        self._units = UnitsWatch(self._config.sampling)
         self._begin_reason = reason
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
@@ -249,6 +251,9 @@ class Session:
         aligner = self._aligner
         assert aligner is not None
         fault = find_fault(block)
+        if fault is None:
+            self._units.update(block)
+            fault = self._units.fault
         if fault is not None:
             return self._fail(int(block.stamp_ns[-1]), fault)
         return self._step(lambda: aligner.update(block))
@@ -266,6 +271,8 @@ class Session:
                 broke = ESTIMATE_BROKE(cause="it is not finite")
                 return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
+            if self._units.hint is not None:
+                step = step._replace(findings=(*step.findings, self._units.hint))
             self._status = self._completer.update(step, elapsed, self._begin_reason)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates

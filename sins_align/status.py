@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from sins_align.config import Completion
 from sins_align.grades import ImuGrade
-from sins_align.limits import PATIENCE_S, heading_limit, level_limit
+from sins_align.limits import PATIENCE_S, heading_limit, latitude_differs, level_limit
 from sins_align.reasons import (
     AT_POLE,
     BEGAN_ANEW,
@@ -55,9 +55,6 @@ MAX_DISAGREEMENT = 1.0
 MAX_UNSTEADINESS = 4.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
-# The latitude given and the one of the data differ by so many sigma, and by so much at least [rad].
-MAX_LATITUDE_RATIO = 5.0
-LEAST_LATITUDE_ERROR = 0.1 * DEG
 
 
 class Declared(NamedTuple):
@@ -136,6 +133,8 @@ class Completer:
         doubts = [f for f in step.findings if f.reason.kind is Kind.DOUBT]
         doubts += self._doubts(estimate)
         notes = [f for f in step.findings if f.reason.kind is not Kind.DOUBT]
+        if not missing:
+            notes = [f for f in notes if f.reason.kind is not Kind.HINT]
         notes += self._latitude(estimate)
         faults = [f for f in notes if f.reason.kind is Kind.FAULT]
         findings = (*faults, *missing, *doubts, *(f for f in notes if f not in faults))
@@ -248,8 +247,7 @@ class Completer:
         if own is None or expectation.position is None or expectation.latitude_check == "off":
             return []
         given = expectation.position.latitude
-        off = abs(own.latitude - given)
-        if not off > max(LEAST_LATITUDE_ERROR, MAX_LATITUDE_RATIO * own.sigma):
+        if not latitude_differs(given, own):
             return []
         reason = LATITUDE_WRONG if expectation.latitude_check == "fail" else LATITUDE_DIFFERS
         found, sigma = own.latitude / DEG, own.sigma / DEG

@@ -7,8 +7,11 @@ import math
 import numpy as np
 
 from sins_align.increments import Windows
-from sins_align.rotation import dcm_from_quaternion, multiply_quaternions
+from sins_align.rotation import dcm_from_quaternion, multiply_quaternions, skew
 from sins_align.types import Array
+
+# What of the motion so far stands for what is to come.
+WINDOW_S = 60.0
 
 
 class Epochs:
@@ -47,6 +50,38 @@ class Epochs:
         """(4,) rotation b -> b0 at the last node."""
         return self._q
 
+    def continued(self, count: int, w_ie_b0: Array) -> Epochs:
+        """These epochs and `count` more, of a base that goes on moving as it did.
+
+        The last ones come again and again, from where the attitude was most nearly the last one;
+        meanwhile the base turns with the Earth at w_ie_b0 (3,) [rad/s].
+        """
+        again = np.arange(self._most_alike(), self._size)
+        index = np.resize(again, count)
+        duration = self.duration_s[index]
+        end_s = self.time_s[-1] + np.cumsum(duration)
+        E = _turns(w_ie_b0, end_s - self.time_s[index + 1])
+        new = {
+            "duration_s": duration,
+            "time_s": end_s,
+            "C": E @ self.C[index + 1],
+            "u": np.einsum("kij,kj->ki", E, self.u[index]),
+            "s": np.einsum("kij,kj->ki", E, self.s[index]),
+            "B": E @ self.B[index],
+            "BB": E @ self.BB[index],
+        }
+        other = Epochs()
+        other._size, other._q = self._size + count, self._q
+        other._arrays = {k: np.concatenate((getattr(self, k), v)) for k, v in new.items()}
+        return other
+
+    def _most_alike(self) -> int:
+        """The node of the last minute, but for the last third of it, most like the last one."""
+        length = round(WINDOW_S / float(self.duration_s.mean()))
+        first, end = max(self._size - length, 0), max(self._size - length // 3, 1)
+        off = self.C[first:end] - self.C[-1]
+        return first + int(np.argmin(np.einsum("kij,kij->k", off, off)))
+
     def append(self, windows: Windows) -> None:
         """Add the windows of a block that begins at the last node."""
         count = windows.duration_s.shape[0]
@@ -67,3 +102,11 @@ class Epochs:
         q = multiply_quaternions(self._q, windows.q_end)
         self._q = q / math.sqrt(float(q @ q))
         self._size = new
+
+
+def _turns(rate: Array, time_s: Array) -> Array:
+    """(K, 3, 3) rotations about one axis, rate (3,) [rad/s], within times (K,)."""
+    size = float(np.linalg.norm(rate))
+    k = skew(rate / size)
+    angle = (size * time_s)[:, None, None]
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)

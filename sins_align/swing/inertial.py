@@ -22,6 +22,7 @@ import numpy as np
 from sins_align.config import SwingConfig
 from sins_align.earth import EARTH_RATE, earth_rate_n, normal_gravity
 from sins_align.increments import integrate_rotation, integrate_windows, join_blocks
+from sins_align.reasons import CENTRE_MOVES, HEADING_COARSE, LEVELLING, SWING_WEAK, Finding
 from sins_align.rotation import (
     dcm_from_quaternion,
     exp_rotation,
@@ -30,8 +31,10 @@ from sins_align.rotation import (
     multiply_quaternions,
     quaternion_from_dcm,
 )
+from sins_align.swing.checks import Checks, Report
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverExcitation
+from sins_align.swing.foresight import time_to
 from sins_align.swing.solution import (
     KAPPA,
     X_BA,
@@ -66,6 +69,8 @@ SAME_ATTITUDE = 0.01  # [rad]
 SAME_LEVER_ARM = 0.01  # [m]
 # A coarse attitude is one whose heading deserves the name.
 COARSE_SIGMA = math.radians(20.0)
+# A centre that moves by so many times what is declared is worth telling.
+RESTLESS = 5.0
 # These stand for sensors that claim to have no noise.
 LEAST_GYRO_NOISE = 1e-11  # [rad/sqrt(s)]
 LEAST_ACCEL_NOISE = 1e-7  # [m/s/sqrt(s)]
@@ -111,10 +116,12 @@ class InertialAligner:
         self._excitation = LeverExcitation(self._noise.gyro, self._noise.position)
         self._lever = self._excitation.directions()
         self._epochs = Epochs()
+        self._checks = Checks(self._gravity, self._noise, config.latitude_check != "off")
         self._filter = TwoStageFilter(self._noise)
         self._filtered = 0  # epochs that the filter has taken in
         self._about: Linearisation | None = None
         self._solution: Solution | None = None
+        self._report: Report | None = None
         self._estimate: Estimate | None = None
         self._blocks: list[ImuBlock] = []  # since the last cycle
         self._turned: list[Array] = []  # and the rotation over each, where asked for
@@ -131,11 +138,28 @@ class InertialAligner:
         now = int(block.stamp_ns[-1] - self._first_ns) * 1e-9
         # Half a block of grace: the ends of blocks fall on stamps, not on the grid itself.
         if now > self._next_cycle_s - 0.5:
-            self._next_cycle_s = now + min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
+            self._next_cycle_s = now + _cycle_s(now)
             self._end_cycle(now)
         elif self._estimate is not None:
             return []
-        return [Advance(int(block.stamp_ns[-1]), self._estimate)]
+        return [Advance(int(block.stamp_ns[-1]), self._estimate, self._findings(now))]
+
+    def _findings(self, now: float) -> tuple[Finding, ...]:
+        """Why there is no estimate yet, or why its sigma is as large as it is."""
+        if self._solution is None:
+            return (LEVELLING(elapsed_s=now),)
+        findings = []
+        if self._estimate is None:
+            sigma = math.degrees(min(self._heading_sigma(self._filter), math.pi))
+            bound = math.degrees(COARSE_SIGMA)
+            findings.append(HEADING_COARSE(sigma=f"sigma {sigma:.0f} deg, not below {bound:.0f}"))
+        noise = self._filter.noise
+        moved, declared = math.sqrt(noise.variance), math.sqrt(noise.floor)
+        if moved > RESTLESS * declared:
+            findings.append(CENTRE_MOVES(moved_mm=1e3 * moved, declared_mm=1e3 * declared))
+        if self._lever.considered.shape[1] and self._config.lever_arm_prior_sigma > 0.0:
+            findings.append(SWING_WEAK())
+        return tuple(findings)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """The estimate from all samples to the end of `block`; changes nothing.
@@ -157,6 +181,7 @@ class InertialAligner:
         duration = int(whole.stamp_ns[-1] - whole.stamp_ns[0]) * 1e-9
         count = max(1, round(duration / EPOCH_S))
         self._epochs.append(integrate_windows(whole, self._config.sampling, count))
+        self._checks.update(self._epochs)
         self._excitation.update(self._epochs)
         self._lever = self._excitation.directions()
         if now > self._next_refresh_s - 0.5:
@@ -164,8 +189,10 @@ class InertialAligner:
             self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
             self._refresh()
         elif self._solution is not None:
+            before = self._solution
             self._advance()
-            self._solution = self._solver().solve(self._filter.normal, self._solution)
+            self._solution = self._solver().solve(self._filter.normal, before)
+            self._checks.note_change(before, self._solution, now)
         self._estimate = self._estimate_now()
 
     @property
@@ -174,10 +201,21 @@ class InertialAligner:
         return self._estimate
 
     def foresee(self, heading: float) -> float:
-        """See `Aligner`."""
+        """See `Aligner`. An estimate is made at the end of a cycle, and that is waited for."""
         if self._estimate is not None and self._estimate.sigma[2] < heading:
             return 0.0
-        return math.nan
+        if self._solution is None or self._about is None:
+            return math.nan
+        ahead_s = time_to(
+            heading, self._filter, self._epochs, self._about, self._gravity, self._noise,
+            self._heading_sigma,
+        )  # fmt: skip
+        since = float(self._epochs.time_s[-1])
+        passed = sum(int(b.stamp_ns[-1] - b.stamp_ns[0]) for b in self._blocks) * 1e-9
+        end = self._next_cycle_s
+        while end < since + ahead_s < math.inf:
+            end += _cycle_s(end)
+        return max(ahead_s, end - since) - passed if math.isfinite(ahead_s) else math.inf
 
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside.
@@ -268,9 +306,24 @@ class InertialAligner:
         variance = up @ solution.covariance[KAPPA, KAPPA] @ up
         return bool(variance < COARSE_SIGMA**2)
 
+    def _heading_sigma(self, filter_: TwoStageFilter) -> float:
+        """1 sigma of heading with the information of `filter_` [rad]."""
+        solution = self._solution
+        assert solution is not None
+        covariance = self._solver().covariance(filter_.normal, solution)
+        up = solution.R[:, 2]
+        P = _phi_covariance(filter_, solution.jacobian, covariance)
+        return math.sqrt(float(up @ P @ up))
+
     def _estimate_now(self) -> Estimate | None:
-        if self._solution is None or not self._is_coarse(self._solution):
+        solution = self._solution
+        if solution is None or not self._is_coarse(solution):
+            self._report = None
             return None
+        heading = self._heading_sigma(self._filter)
+        self._report = self._checks.report(
+            solution, self._solver(), self._filter, self._epochs, heading**2
+        )
         return self._estimate_at(self._stamp_ns, self._epochs.C[-1], 0.0)
 
     def _estimate_at(self, stamp_ns: int, C_b0b: Array, ahead_s: float) -> Estimate:
@@ -288,18 +341,17 @@ class InertialAligner:
         t = float(self._epochs.time_s[-1]) + ahead_s
         C_nb0 = exp_rotation(-self._earth_rate_n * t) @ solution.R.T
         C_nb = C_nb0 @ exp_rotation(phi) @ C_b0b
-        # Error of the whole, in b0: the filter's own, its response to x, and kappa.
-        J = filter_.X[:, :-1] @ solution.jacobian
-        response = J[PHI].copy()
-        response[:, KAPPA] -= np.eye(3)
-        P = filter_.P[PHI, PHI] + response @ solution.covariance @ response.T
+        P = _phi_covariance(filter_, solution.jacobian, solution.covariance)
         P += self._noise.gyro**2 * ahead_s * np.eye(3)
+        report = self._report
+        if report is not None and report.moved is not None:
+            P += np.outer(report.moved, report.moved)
         P_n = C_nb0 @ P @ C_nb0.T
         bias_response = np.zeros((3, solution.x.shape[0]))
         bias_response[:, X_BG] = np.eye(3)
         bias_variance = np.zeros(3)
         if self._noise.drift > 0.0:
-            bias_response += J[DRIFT]
+            bias_response += filter_.X[DRIFT, :-1] @ solution.jacobian
             bias_variance = filter_.P[DRIFT, DRIFT].diagonal()
         bias_covariance = bias_response @ solution.covariance @ bias_response.T
         return Estimate(
@@ -312,6 +364,9 @@ class InertialAligner:
             accel_bias_sigma=np.sqrt(solution.covariance.diagonal()[X_BA]),
             lever_arm=self._lever_arm(solution),
             consistency=filter_.noise.consistency,
+            witness=None if report is None else report.witness,
+            steadiness=math.nan if report is None else report.steadiness,
+            latitude=None if report is None else report.latitude,
         )
 
     def _lever_arm(self, solution: Solution) -> LeverArm:
@@ -323,3 +378,19 @@ class InertialAligner:
         covariance = covariance + self._config.lever_arm_prior_sigma**2 * unknown
         x, y, z = (bool(share < 0.1) for share in frozen.diagonal())
         return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
+
+
+def _cycle_s(now: float) -> float:
+    """Length of the cycle that begins so long after the start [s]."""
+    return min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
+
+
+def _phi_covariance(filter_: TwoStageFilter, jacobian: Array, covariance: Array) -> Array:
+    """(3, 3) of the attitude's error in b0: the filter's own, its response to x, and kappa.
+
+    jacobian : (p, m) d theta / d x; covariance : (m, m) of x
+    """
+    response = filter_.X[PHI, :-1] @ jacobian
+    response[:, KAPPA] -= np.eye(3)
+    P: Array = filter_.P[PHI, PHI] + response @ covariance @ response.T
+    return P

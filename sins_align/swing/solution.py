@@ -168,7 +168,7 @@ class Solver:
     """
 
     def __init__(self, prior: Prior, lever: LeverDirections, about: Array | None = None) -> None:
-        self._prior = prior
+        self.prior = prior
         self._lever = lever
         self._about = about
 
@@ -193,13 +193,45 @@ class Solver:
         error = considered - covariance @ (N @ considered)
         return Solution(current.R, current.x, covariance + error @ error.T)
 
+    def covariance(self, normal: Array, at: Solution) -> Array:
+        """(m, m) of x, had `normal` been solved at `at`: the data themselves do not count."""
+        N, _ = self._reduced(normal, at)
+        basis, considered = self._parameters(N)
+        covariance = basis @ _inverse(basis.T @ N @ basis) @ basis.T
+        error = considered - covariance @ (N @ considered)
+        return covariance + error @ error.T
+
+    def score(self, normal: Array, at: Solution, column: Array) -> tuple[float, float, Array]:
+        """Estimate of one more parameter y, of which the solution took 0 for granted.
+
+        Parameters
+        ----------
+        column : (p,) d theta / d y
+
+        Returns
+        -------
+        y, its 1 sigma, and (m,) what x would change by per y
+        """
+        J, A = self._jacobian(at), normal[:-1, :-1]
+        N, gradient = self._reduced(normal, at)
+        basis, considered = self._parameters(N)
+        covariance = basis @ _inverse(basis.T @ N @ basis) @ basis.T
+        cross = J.T @ (A @ column)
+        response = -covariance @ cross
+        slope = float(column @ (A @ at.theta + normal[:-1, DATA])) + float(response @ gradient)
+        information = float(column @ A @ column) + float(response @ cross)
+        # A considered error c moves the slope by this per c.
+        moved = (cross + response @ N) @ considered / information
+        sigma = math.sqrt(1.0 / information + float(moved @ moved))
+        return -slope / information, sigma, response
+
     def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
         """Information (m, m) and gradient (m,) of data and prior."""
         J = self._jacobian(at)
         A = normal[:-1, :-1]
         N = J.T @ A @ J
         gradient = J.T @ (A @ at.theta + normal[:-1, DATA])
-        variance, mean = self._prior.variance, self._prior.mean
+        variance, mean = self.prior.variance, self.prior.mean
         known = variance > 0.0
         N[known, known] += 1.0 / variance[known]
         gradient[known] += (at.x[known] - mean[known]) / variance[known]
@@ -220,7 +252,7 @@ class Solver:
     def _parameters(self, N: Array) -> tuple[Array, Array]:
         """Directions of x to estimate (m, e), and to consider, times their sigma (m, c)."""
         unit = np.eye(N.shape[0])
-        variance = self._prior.variance
+        variance = self.prior.variance
         columns = [unit[:, :6]]
         considered = unit[:, :0]
         if variance[X_R].any():
@@ -244,7 +276,7 @@ class Solver:
 
     def _at_prior_outside(self, start: Solution, considered: Array) -> Solution:
         """`start` with what is not estimated put back to its prior."""
-        prior, x = self._prior, start.x.copy()
+        prior, x = self.prior, start.x.copy()
         mean = prior.mean[X_R]
         free = self._lever.free if prior.variance[X_R].any() else np.zeros((3, 0))
         x[X_R] = mean + free @ (free.T @ (x[X_R] - mean))

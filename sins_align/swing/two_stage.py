@@ -96,6 +96,17 @@ class GravityModel:
             (c * np.sin(angle), s * c * versine, 1.0 - c * c * versine), axis=-1
         )
 
+    def integral(self, time_s: Array) -> Array:
+        """Integrals of the factors from 0 on: (N, 3) [m/s]."""
+        c, s = np.cos(self.latitude), np.sin(self.latitude)
+        angle = self.earth_rate * time_s
+        # t - sin(W t) / W by its series: the difference would lose digits.
+        versine = angle * angle * time_s / 6.0 * (1.0 - angle * angle / 20.0)
+        return -self.magnitude * np.stack(
+            (c * 0.5 * angle * time_s * np.sinc(0.5 * angle / np.pi) ** 2, s * c * versine,
+             time_s - c * c * versine), axis=-1
+        )  # fmt: skip
+
 
 class Linearisation(NamedTuple):
     """About what the noise model is linearised.
@@ -264,6 +275,12 @@ class TwoStageFilter:
         if noise.drift > 0.0:
             self.P[DRIFT, DRIFT] = noise.drift**2 * np.eye(3)
         self.normal = np.zeros((self.columns, self.columns))
+
+    def copy(self) -> TwoStageFilter:
+        """Another one in the same state."""
+        other = copy(self)
+        other._M, other.normal = self._M.copy(), self.normal.copy()
+        return other
 
     @property
     def X(self) -> Array:

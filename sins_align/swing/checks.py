@@ -1,0 +1,74 @@
+"""What speaks for a solution besides its covariance: three tests on the same epochs."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from sins_align.limits import latitude_differs
+from sins_align.swing.epochs import Epochs
+from sins_align.swing.latitude import latitude_column
+from sins_align.swing.solution import KAPPA, Solution, Solver
+from sins_align.swing.steadiness import Steadiness
+from sins_align.swing.two_stage import GravityModel, NoiseModel, TwoStageFilter
+from sins_align.swing.velocity_fit import VelocityFit
+from sins_align.types import Array, LatitudeEstimate, Witness
+
+
+class Report(NamedTuple):
+    """What the tests say of a solution.
+
+    witness, steadiness, latitude : see `Estimate`
+    moved : (3,) what the attitude would change by with the latitude of the data, where that is
+        not the one given, in b0 [rad]; else None
+    """
+
+    witness: Witness | None
+    steadiness: float
+    latitude: LatitudeEstimate | None
+    moved: Array | None
+
+
+class Checks:
+    """The tests.
+
+    Parameters
+    ----------
+    gravity, noise : models of the filter
+    with_latitude : whether the latitude is to be found
+    """
+
+    def __init__(self, gravity: GravityModel, noise: NoiseModel, with_latitude: bool) -> None:
+        self._gravity = gravity
+        self._with_latitude = with_latitude
+        self._fit = VelocityFit(gravity, noise)
+        self._steadiness = Steadiness()
+
+    def update(self, epochs: Epochs) -> None:
+        """Take in the epochs that are new."""
+        self._fit.update(epochs)
+
+    def note_change(self, before: Solution, after: Solution, time_s: float) -> None:
+        """Take in two solutions that follow each other, in one linearisation."""
+        self._steadiness.add(before, after, time_s)
+
+    def report(
+        self,
+        solution: Solution,
+        solver: Solver,
+        filter_: TwoStageFilter,
+        epochs: Epochs,
+        heading_variance: float,
+    ) -> Report:
+        """What is to be said of a solution; heading_variance [rad^2]."""
+        witness = self._fit.compare(
+            solution, solver.prior, epochs, heading_variance, filter_.noise.variance
+        )
+        latitude, moved = None, None
+        given = self._gravity.latitude
+        column = latitude_column(solution, given) if self._with_latitude else None
+        if column is not None:
+            off, sigma, response = solver.score(filter_.normal, solution, column)
+            latitude = LatitudeEstimate(given + off, sigma)
+            if latitude_differs(given, latitude):
+                moved = off * response[KAPPA]
+        return Report(witness, self._steadiness.value, latitude, moved)

@@ -1,0 +1,36 @@
+"""The latitude from the data: how fast gravity turns, and about which axis.
+
+With the true latitude L + dL in place of the model's, gravity in inertial axes (`two_stage`) is,
+to first order, that of the model with
+
+    R_e (1 - tan L dL)      R_n (1 + (c^2 - s^2) / (s c) dL) + 2 R_u dL      R_u
+
+in place of R_e, R_n, R_u; s, c = sin L, cos L. So one more column of theta's Jacobian tells it,
+from the sums that are there already. sigma_L is about sigma_bg / (Omega sin L) at least: at the
+equator the latitude is unobservable.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sins_align.swing.solution import X_G, Solution
+from sins_align.swing.two_stage import R_EAST, R_NORTH
+from sins_align.types import Array
+
+# Nearer to the equator (and to a pole) there is nothing to be told.
+LEAST_SIN_COS = 0.01
+
+
+def latitude_column(solution: Solution, latitude: float) -> Array | None:
+    """(p,) d theta / d L at the model's latitude [rad]; None where it does not show."""
+    s, c = math.sin(latitude), math.cos(latitude)
+    if abs(s * c) < LEAST_SIN_COS:
+        return None
+    R = (1.0 + solution.x[X_G]) * solution.R
+    column = np.zeros(solution.theta.shape[0])
+    column[R_EAST] = -s / c * R[:, 0]
+    column[R_NORTH] = (c * c - s * s) / (s * c) * R[:, 1] + 2.0 * R[:, 2]
+    return column
