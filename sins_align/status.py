@@ -124,10 +124,10 @@ class Completer:
             findings = step.findings
             if not findings:
                 findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
+            if self._state is State.COARSE:
+                findings = (*findings, *self._heading_limit())
             if begin_reason:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))
-            if math.isnan(limit) and elapsed_s > 0.0:
-                findings = (AT_POLE(), *findings)
             return Status(self._state, findings, elapsed_s, None, limit)
         missing = self._missing(estimate)
         doubts = [f for f in step.findings if f.reason.kind is Kind.DOUBT]
