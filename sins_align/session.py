@@ -263,7 +263,8 @@ class Session:
         try:
             steps = work()
         except np.linalg.LinAlgError as error:
-            stamp_ns = self._counts.last_stamp_ns
+            # Of the last block, not of the last sample: how many came in one call says nothing.
+            stamp_ns = self._odometer_intake.imu_ns
             return self._fail(0 if stamp_ns is None else stamp_ns, ESTIMATE_BROKE(cause=error))
         updates: list[Update] = []
         for step in steps:
