@@ -36,10 +36,10 @@ MOVED_BLIND_M = 3.0
 STILL, STILL_M, STILL_FORCE = 12, 0.1, 0.05
 # and no speed, which is known ever less well [m/s], [m/s^2].
 STILL_SPEED, SPEED_DRIFT = 0.3, 0.005
-# A vehicle that is as quiet for so many blocks stands, whatever its speed seems to be. Gravity
-# turns by so much more than it is turned back where heading is wrong by 20 deg [m/s^3].
+# A vehicle that is as quiet for so many blocks stands, whatever its speed and force seem to be:
+# what was known of gravity may have been wrong. (Or it goes straight on at one speed: that no IMU
+# can tell.)
 QUIET = 60
-FORCE_DRIFT = 2e-4
 
 
 class Node(NamedTuple):
@@ -144,14 +144,19 @@ class MotionWatch:
         assert self._rest is not None
         path = np.array(self._path)
         since = float(path[-1, 0]) - self._rest.t0
-        most = STILL_FORCE + FORCE_DRIFT * since
-        if path.shape[0] < STILL or not _is_quiet(path[-STILL:], most):
+        if path.shape[0] < STILL:
             return False
-        last = path[-STILL:]
-        fit = _fit(last[:, 0], last[:, 1:], 1)
-        if float(np.linalg.norm(fit.coefficients[1])) < STILL_SPEED + SPEED_DRIFT * since:
+        # A cubic: gravity may turn.
+        if path.shape[0] == QUIET and _fit(path[:, 0], path[:, 1:], 3).scatter < STILL_M:
             return True
-        return path.shape[0] == QUIET and _is_quiet(path, most)
+        last = path[-STILL:]
+        fit = _fit(last[:, 0], last[:, 1:], 2)
+        force = 2.0 * float(np.linalg.norm(fit.coefficients[2]))
+        if not (fit.scatter < STILL_M and force < STILL_FORCE):
+            return False
+        line = _fit(last[:, 0], last[:, 1:], 1)
+        speed = float(np.linalg.norm(line.coefficients[1]))
+        return speed < STILL_SPEED + SPEED_DRIFT * since
 
     def _track(self, count: int, velocity: Array, place: Array) -> Track:
         """The last nodes, in axes of the Earth: their increments are turned back with it.
@@ -171,13 +176,6 @@ class MotionWatch:
         after = velocity + np.cumsum(u, axis=0)
         places = place + np.cumsum((after - u) * T[:, None] + s, axis=0)
         return Track(time_s[1:], places - arms, after[-1], places[-1])
-
-
-def _is_quiet(path: Array, most: float) -> bool:
-    """Whether rows of time and place (N, 4) are those of a centre with no more force than this."""
-    fit = _fit(path[:, 0], path[:, 1:], 2)
-    force = 2.0 * float(np.linalg.norm(fit.coefficients[2]))
-    return fit.scatter < STILL_M and force < most
 
 
 def _fit(time_s: Array, p: Array, degree: int) -> Curve:
