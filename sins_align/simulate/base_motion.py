@@ -8,7 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sins_align.simulate.attitude_motion import Attitude, RotationStep, Sinusoid, compose_attitude
+from sins_align.simulate.attitude_motion import (
+    AngleLaw,
+    Attitude,
+    RotationStep,
+    Sinusoid,
+    compose_attitude,
+)
 from sins_align.types import Array
 
 # An interval mean is five-point Gauss-Legendre: exact to the rounding for swings that turn
@@ -23,11 +29,11 @@ class CentreMotion:
     """Motion of the swing centre along one fixed direction of n.
 
     direction_n : (3,) unit vector in ENU
-    displacement : over time [m]
+    displacement : over time, a law in metres in place of radians
     """
 
     direction_n: Array
-    displacement: Sinusoid
+    displacement: AngleLaw
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +41,8 @@ class BaseMotion:
     """The base and the IMU on it.
 
     n is ENU at the mean position of the swing centre, fixed to the Earth. Gravitation is
-    uniform over the reach of the base (a lever arm of 5 m makes that wrong by 1.5 ug).
+    uniform over the reach of the base (a lever arm of 5 m makes that wrong by 1.5 ug) and over its
+    drives (100 m turn the plumb line by 3.2 arcsec, which is left out).
 
     rotations : chain from n to b
     centre : motions of the swing centre, added up

@@ -31,6 +31,9 @@ REFERENCE, LEAST_REFERENCE, RECENT = 30, 12, 5
 # itself scatters about it; and with the axes unknown.
 MOVED_M, MOVED_RATIO = 0.5, 8.0
 MOVED_BLIND_M = 3.0
+# A base that has turned by more than this [rad] in its place moves an IMU on a lever arm, which
+# may be unknown, but no longer than this [m].
+TURNED, REACH_M = 0.35, 15.0
 # Still again: for so many blocks within so much of a parabola [m], which has no more force than
 # this [m/s^2],
 STILL, STILL_M, STILL_FORCE = 12, 0.1, 0.05
@@ -126,11 +129,27 @@ class MotionWatch:
         self.moved_m = float(off[-1])
         # One place alone may be a jolt.
         bound = MOVED_M if self.knows_axes else MOVED_BLIND_M
-        if not off.min() > max(bound, MOVED_RATIO * rest.scatter):
+        bound = max(bound, MOVED_RATIO * rest.scatter)
+        if not off.min() > bound or self._has_turned_in_place(track, bound):
             return False
         self._rest = rest
         self._follow(track)
         return True
+
+    def _has_turned_in_place(self, track: Track, bound: float) -> bool:
+        """Whether another lever arm explains where the IMU went: p = a + b t + c t^2 + C dr."""
+        nodes = list(self._nodes)[-track.time_s.shape[0] :]
+        turn = nodes[0].C.T @ nodes[-1].C
+        if float(np.trace(turn)) > 1.0 + 2.0 * math.cos(TURNED):
+            return False
+        C = np.array([node.C for node in nodes])
+        if self.knows_axes:
+            C = rotations_about(-self._w_ie_b0, track.time_s) @ C
+        powers = np.vander(track.time_s - track.time_s[0], 3, increasing=True)
+        A = np.concatenate((np.kron(powers, np.eye(3)), C.reshape(-1, 3)), axis=1)
+        x, _, _, _ = np.linalg.lstsq(A, track.places.ravel(), rcond=1e-6)
+        left = np.linalg.norm((track.places.ravel() - A @ x).reshape(-1, 3), axis=1)
+        return bool(left.max() < bound and float(np.linalg.norm(x[9:])) < REACH_M)
 
     def _follow(self, track: Track) -> None:
         assert self._rest is not None
