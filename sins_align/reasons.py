@@ -308,6 +308,16 @@ UNSTEADY = Reason(
     "Ends when the last changes are what they should be.",
     "swing",
 )
+STAMP_JITTER = Reason(
+    "stamp_jitter",
+    Kind.DOUBT,
+    "the stamps jitter by {jitter_ms:.2f} ms, which on this motion is {ratio:.1f} times the noise"
+    " of the gyros",
+    "stamp the samples when they are taken, not when they arrive; or declare the noise that this"
+    " makes (gyro_arw_deg_sqrt_h)",
+    "The values are smoother by their number than by their stamps. Ends half a minute after the"
+    " stamps are right, or the base moves less.",
+)
 WITNESS_DIFFERS = Reason(
     "witness_differs",
     Kind.DOUBT,

@@ -34,6 +34,7 @@ from sins_align.reasons import (
     SLOW_IMU,
     Finding,
 )
+from sins_align.stamp_watch import StampWatch
 from sins_align.status import Completer, Declared, Expectation
 from sins_align.swing import make_aligner
 from sins_align.types import (
@@ -95,6 +96,7 @@ class Session:
         self._intake = Intake(self._counts)
         self._completer = self._make_completer()
         self._units = UnitsWatch(self._config.sampling)
+        self._stamps = StampWatch(self._config.grade.gyro_arw)
         self._begin_reason = reason
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
@@ -253,6 +255,7 @@ class Session:
         fault = find_fault(block)
         if fault is None:
             self._units.update(block)
+            self._stamps.update(block)
             fault = self._units.fault
         if fault is not None:
             return self._fail(int(block.stamp_ns[-1]), fault)
@@ -272,8 +275,8 @@ class Session:
                 broke = ESTIMATE_BROKE(cause="it is not finite")
                 return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
-            if self._units.hint is not None:
-                step = step._replace(findings=(*step.findings, self._units.hint))
+            more = [f for f in (self._units.hint, self._stamps.finding) if f is not None]
+            step = step._replace(findings=(*step.findings, *more))
             self._status = self._completer.update(step, elapsed, self._begin_reason)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates

@@ -208,23 +208,6 @@ def test_turn_outside_the_run_is_refused(start: float) -> None:
         run(turn_deg=90.0, turn_start_s=start)
 
 
-@pytest.mark.parametrize("start", [-1.0, 20.0])
-def test_drive_outside_the_run_is_refused(start: float) -> None:
-    with pytest.raises(ValueError, match="drive_start_s"):
-        run(drive_m=9.0, drive_start_s=start)
-
-
-def test_a_drive_ends_where_it_should_and_changes_nothing_before() -> None:
-    plain, driven = run(), run(drive_m=-30.0, drive_azimuth_deg=90.0, drive_start_s=5.0,
-                               drive_duration_s=4.0)  # fmt: skip
-    moved = driven.truth.base.centre_position(np.array([4.9, 7.0, 9.1]))
-    np.testing.assert_allclose(moved, [[0.0, -15.0, -30.0], [0.0] * 3, [0.0] * 3], atol=1e-9)
-    before = (plain.imu.stamp_ns - plain.imu.stamp_ns[0]) * 1e-9 < 5.0
-    np.testing.assert_array_equal(plain.imu.f_ib_b[:, before], driven.imu.f_ib_b[:, before])
-    assert np.abs(plain.imu.f_ib_b - driven.imu.f_ib_b).max() > 5.0
-    np.testing.assert_array_equal(plain.imu.w_ib_b, driven.imu.w_ib_b)
-
-
 def test_unknown_axis_is_refused() -> None:
     with pytest.raises(ValueError, match="axis"):
         SingleAxisSwing(axis="w")

@@ -70,10 +70,6 @@ SWING_TABLE: Table = {
     "sway_azimuth_deg": _number(
         "sway_azimuth_deg", 90.0, "its direction, clockwise from north"
     ),
-    "drive_m": _number("drive_m", 0.0, "the vehicle drives off, so far"),
-    "drive_azimuth_deg": _number("drive_azimuth_deg", 0.0, "whereto, clockwise from north"),
-    "drive_start_s": _positive("drive_start_s", NAN, "when [s]; NaN: in the middle"),
-    "drive_duration_s": _number("drive_duration_s", 20.0, "how long that takes [s]", low=1e-3),
 }  # fmt: skip
 
 

@@ -8,13 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sins_align.simulate.attitude_motion import (
-    AngleLaw,
-    Attitude,
-    RotationStep,
-    Sinusoid,
-    compose_attitude,
-)
+from sins_align.simulate.attitude_motion import Attitude, RotationStep, Sinusoid, compose_attitude
 from sins_align.types import Array
 
 # An interval mean is five-point Gauss-Legendre: exact to the rounding for swings that turn
@@ -29,11 +23,11 @@ class CentreMotion:
     """Motion of the swing centre along one fixed direction of n.
 
     direction_n : (3,) unit vector in ENU
-    displacement : over time, a law in metres in place of radians
+    displacement : over time [m]
     """
 
     direction_n: Array
-    displacement: AngleLaw
+    displacement: Sinusoid
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +35,7 @@ class BaseMotion:
     """The base and the IMU on it.
 
     n is ENU at the mean position of the swing centre, fixed to the Earth. Gravitation is
-    uniform over the reach of the base (a lever arm of 5 m makes that wrong by 1.5 ug) and over its
-    drives (100 m turn the plumb line by 3.2 arcsec, which is left out).
+    uniform over the reach of the base (a lever arm of 5 m makes that wrong by 1.5 ug).
 
     rotations : chain from n to b
     centre : motions of the swing centre, added up

@@ -18,17 +18,8 @@ _FINITE = (
     "heave_m",
     "sway_m",
     "sway_azimuth_deg",
-    "drive_m",
-    "drive_azimuth_deg",
 )
-_POSITIVE = (
-    "rate_hz",
-    "duration_s",
-    "turn_duration_s",
-    "heave_period_s",
-    "sway_period_s",
-    "drive_duration_s",
-)
+_POSITIVE = ("rate_hz", "duration_s", "turn_duration_s", "heave_period_s", "sway_period_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +37,6 @@ class SwingOptions:
     turn_start_s, turn_duration_s : when; a start of None puts the turn in the middle
     heave_m, heave_period_s : amplitude and period of the vertical motion of the swing centre
     sway_m, sway_period_s, sway_azimuth_deg : likewise horizontally, clockwise from north
-    drive_m, drive_azimuth_deg : the vehicle drives off, so far and in that direction, and the swing
-        goes on; drive_start_s, drive_duration_s : when, as the turn
     lost_fraction : of the samples, at random; the first and the last one are never lost
     stamp_jitter_s : 1 sigma, cut at 0.45 sampling intervals; the value is that of the true time
     start_stamp_ns : stamp of the first sample, before jitter
@@ -76,10 +65,6 @@ class SwingOptions:
     sway_m: float = 0.0
     sway_period_s: float = 9.0
     sway_azimuth_deg: float = 90.0
-    drive_m: float = 0.0
-    drive_azimuth_deg: float = 0.0
-    drive_start_s: float | None = None
-    drive_duration_s: float = 20.0
     lost_fraction: float = 0.0
     stamp_jitter_s: float = 0.0
     start_stamp_ns: int = 1_700_000_000_000_000_000
@@ -115,13 +100,6 @@ class SwingOptions:
             return 0.5 * (self.duration_s - self.turn_duration_s)
         return self.turn_start_s
 
-    @property
-    def drive_begin_s(self) -> float:
-        """When the drive begins [s]."""
-        if self.drive_start_s is None:
-            return 0.5 * (self.duration_s - self.drive_duration_s)
-        return self.drive_start_s
-
     def _check_numbers(self) -> None:
         for name in _FINITE + _POSITIVE:
             if not math.isfinite(getattr(self, name)):
@@ -154,10 +132,5 @@ class SwingOptions:
         if self.turn_deg != 0.0 and not 0.0 <= self.turn_begin_s < self.duration_s:
             raise ValueError(
                 f"turn_start_s: the turn would begin at {self.turn_begin_s} s, "
-                f"outside the run of {self.duration_s} s"
-            )
-        if self.drive_m != 0.0 and not 0.0 <= self.drive_begin_s < self.duration_s:
-            raise ValueError(
-                f"drive_start_s: the drive would begin at {self.drive_begin_s} s, "
                 f"outside the run of {self.duration_s} s"
             )

@@ -93,23 +93,16 @@ def swing_base(options: SwingOptions, streams: Mapping[str, Generator]) -> BaseM
 
 def _centre_motions(options: SwingOptions, stream: Generator) -> tuple[CentreMotion, ...]:
     heave_phase, sway_phase = stream.uniform(0.0, math.tau, 2)
-    motions = []
-    if options.heave_m != 0.0:
-        heave = harmonic(options.heave_m, options.heave_period_s, heave_phase)
-        motions.append(CentreMotion(np.array([0.0, 0.0, 1.0]), heave))
-    if options.sway_m != 0.0:
-        sway = harmonic(options.sway_m, options.sway_period_s, sway_phase)
-        motions.append(CentreMotion(_horizontal(options.sway_azimuth_deg), sway))
-    if options.drive_m != 0.0:
-        drive = SmoothTurn(options.drive_m, options.drive_begin_s, options.drive_duration_s)
-        motions.append(CentreMotion(_horizontal(options.drive_azimuth_deg), drive))
-    return tuple(motions)
-
-
-def _horizontal(azimuth_deg: float) -> Array:
-    """(3,) unit vector in n, clockwise from north."""
-    azimuth = math.radians(azimuth_deg)
-    return np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
+    azimuth = math.radians(options.sway_azimuth_deg)
+    horizontal = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
+    motions = (
+        CentreMotion(
+            np.array([0.0, 0.0, 1.0]),
+            harmonic(options.heave_m, options.heave_period_s, heave_phase),
+        ),
+        CentreMotion(horizontal, harmonic(options.sway_m, options.sway_period_s, sway_phase)),
+    )
+    return tuple(motion for motion in motions if motion.displacement.amplitude != 0.0)
 
 
 def _elapsed_ns(options: SwingOptions) -> IntArray:
