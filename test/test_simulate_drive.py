@@ -111,9 +111,10 @@ def test_mean_sampling_is_the_mean_in_the_drive() -> None:
         np.testing.assert_allclose(imu.f_ib_b[:, sample], f.mean(axis=1), rtol=0, atol=tolerance)
 
 
-def test_without_a_drive_nothing_changes() -> None:
-    """Also where the other options of a drive are set, and out of place."""
-    options = {"drive_start_s": 99.0, "drive_azimuth_deg": 30.0, "drive_shake_m_s2": 0.3}
+@pytest.mark.parametrize("start", [5.0, 99.0])
+def test_without_a_drive_nothing_changes(start: float) -> None:
+    """Also where the other options of a drive are set, be it out of place."""
+    options = {"drive_start_s": start, "drive_azimuth_deg": 30.0, "drive_shake_m_s2": 0.3}
     plain, not_driving = run(), run(**options)
     assert_same(not_driving.imu, plain.imu)
     assert not_driving.truth.truth_dict() == plain.truth.truth_dict()
