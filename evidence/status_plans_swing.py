@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -38,7 +37,7 @@ def swing_plan(number: int) -> Plan:
         )
         draft.scenario = f"{WEAK} {swing:.2f} deg"
     draft.options["lever_arm_m"] = dice.normal(2.0)
-    return make_plan(draft, number, SwingOptions, draw_faults(draft, _faults()))
+    return make_plan(draft, number, SwingOptions, draw_faults(draft, FAULTS))
 
 
 def _heave(draft: Draft) -> str:
@@ -72,26 +71,24 @@ def _turn(draft: Draft) -> str:
 
 
 def _drive_off(draft: Draft) -> str:
-    """With what there is of the simulator's options for it."""
-    begin = draft.moment()
-    values = {
-        "drive_start_s": begin,
-        "drive_begin_s": begin,
-        "drive_speed_m_s": draft.dice.size(0.5, 10.0),
-        "drive_acceleration_m_s2": draft.dice.size(0.2, 2.0),
-        "drive_azimuth_deg": draft.dice.between(0.0, 360.0),
-        "drive_duration_s": draft.dice.between(5.0, 60.0),
-    }
-    draft.options.update({k: v for k, v in values.items() if k in _OPTIONS})
-    return f"at {begin:.0f} s"
+    """The vehicle drives somewhere else, and stops there."""
+    dice = draft.dice
+    begin, distance, duration = draft.moment(), dice.size(1.0, 300.0), dice.between(5.0, 60.0)
+    draft.options.update(
+        drive_m=distance,
+        drive_start_s=begin,
+        drive_duration_s=duration,
+        drive_azimuth_deg=dice.between(0.0, 360.0),
+    )
+    return f"{distance:.0f} m at {begin:.0f} s in {duration:.0f} s"
 
 
-_OPTIONS = {f.name for f in dataclasses.fields(SwingOptions)}
-
-
-def _faults() -> Mapping[str, Any]:
-    own = {"heave": _heave, "sway": _sway, "lever arm": _lever, "turn": _turn, "impulse": impulse}
-    # Until the simulator can drive off.
-    if any(name.startswith("drive_") for name in _OPTIONS):
-        own["drive off"] = _drive_off
-    return {**IMU_FAULTS, **own}
+FAULTS: Mapping[str, Any] = {
+    **IMU_FAULTS,
+    "heave": _heave,
+    "sway": _sway,
+    "lever arm": _lever,
+    "turn": _turn,
+    "impulse": impulse,
+    "drive off": _drive_off,
+}
