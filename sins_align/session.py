@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.config import OdoConfig, SwingConfig
+from sins_align.config import Completion, OdoConfig, SwingConfig
 from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.intake import Intake
 from sins_align.limits import heading_limit, level_limit
@@ -173,6 +174,11 @@ class Session:
         if self._position is None:
             self._position = position
             self._begin(self._begin_reason)
+
+    def set_completion(self, completion: Completion) -> None:
+        """Other thresholds, from the next block on; everything else goes on as it was."""
+        self._config = replace(self._config, completion=completion)
+        self._completer.set_completion(completion)
 
     def restart(self, reason: str = "restarted on request") -> None:
         """Forget everything but the counts and the position, and start again."""

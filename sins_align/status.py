@@ -61,6 +61,10 @@ class Completer:
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
+    def set_completion(self, completion: Completion) -> None:
+        """Other thresholds, from the next step on; for how long sigma was below stays known."""
+        self._completion = completion
+
     def update(self, step: Advance, elapsed_s: float, limit: float, begin_reason: str) -> Status:
         """Status after a step of the aligner.
 
@@ -81,7 +85,7 @@ class Completer:
             return Status(State.COARSE, reason, remedy, elapsed_s, None, limit)
         missing, remedy = self._missing(estimate, limit)
         if missing:
-            self._below_since_s = self._aligned_at_s = None
+            self._below_since_s = None
         elif self._below_since_s is None:
             self._below_since_s = elapsed_s
         held = 0.0 if self._below_since_s is None else elapsed_s - self._below_since_s
@@ -89,6 +93,7 @@ class Completer:
             if self._aligned_at_s is None:
                 self._aligned_at_s = elapsed_s
             return Status(State.ALIGNED, "", "", elapsed_s, self._aligned_at_s, limit)
+        self._aligned_at_s = None
         fine = estimate.misalignment_covariance[2, 2] < FINE_HEADING_SIGMA**2
         state = State.FINE if fine else State.COARSE
         if not missing:

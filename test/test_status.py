@@ -61,6 +61,21 @@ def test_aligned_after_the_hold_and_not_before() -> None:
     assert [s.elapsed_s for s in found] == times
 
 
+def test_other_thresholds_count_from_the_next_step_on() -> None:
+    completer = Completer(COMPLETION)
+    for elapsed_s in (0.0, HOLD_S):
+        status = completer.update(Advance(0, estimate()), elapsed_s, 0.0, "")
+    assert status.state is State.ALIGNED
+    completer.set_completion(Completion(HEADING, LEVEL, 2.0 * HOLD_S))
+    status = completer.update(Advance(0, estimate()), 1.5 * HOLD_S, 0.0, "")
+    assert (status.state, status.reason) == (State.FINE, "below the thresholds for 15 of 20 s")
+    status = completer.update(Advance(0, estimate()), 2.0 * HOLD_S, 0.0, "")
+    assert (status.state, status.aligned_at_s) == (State.ALIGNED, 2.0 * HOLD_S)
+    completer.set_completion(Completion(0.5 * HEADING, LEVEL, HOLD_S))
+    status = completer.update(Advance(0, estimate()), 2.5 * HOLD_S, 0.0, "")
+    assert "heading sigma" in status.reason
+
+
 def test_without_a_hold_at_once() -> None:
     completer = Completer(dataclasses.replace(COMPLETION, hold_s=0.0))
     assert completer.update(Advance(0, estimate()), 5.0, 0.0, "").state is State.ALIGNED

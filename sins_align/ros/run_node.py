@@ -19,6 +19,8 @@ from sins_align.ros.node_base import AlignNode, RCLError
 
 N = TypeVar("N", bound=Node)
 
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
 _UNUSABLE = (
     ConfigError, ParameterException, RCLError, RuntimeError, ValueError, OSError, MemoryError
 )  # fmt: skip
@@ -35,22 +37,28 @@ def run_node(
     Returns
     -------
     0 after work or shutdown; 2 for arguments or parameters that cannot be used and 1 for
-    work that ended with a TimeoutError, each with one line on standard error
+    work that ended with an OSError, a TimeoutError among them; each with one line on standard
+    error
     """
     # rclpy shuts ROS down at the signal and then calls the handler it found. Python's own
     # would raise in the middle of whatever is going on, a half-taken sample included.
-    signal.signal(signal.SIGINT, lambda *_: None)
+    for number in _SIGNALS:
+        signal.signal(number, lambda *_: None)
+    # A signal waits until there is a node that can end well.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
         rclpy.init(args=None if args is None else list(args))
         node = make_node()
     except _UNUSABLE as error:
         rclpy.try_shutdown()
         return _fail(name, error, 2)
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     try:
         work(node)
     except ExternalShutdownException:
         pass
-    except TimeoutError as error:
+    except OSError as error:
         return _fail(name, error, 1)
     except RCLError:
         if rclpy.ok():  # else something was published while ROS went down
@@ -58,6 +66,9 @@ def run_node(
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+        # Nothing is left to be stopped, and Python's own exit takes a moment.
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
     return 0
 
 
