@@ -30,8 +30,8 @@ from sins_align.ros.portable_messages import odometer_message, ros_types
 from sins_align.types import ImuSamples, OdometerSamples, Position
 
 ROOT = Path(__file__).resolve().parent.parent
-SWING = "swing_align_ros.node"
-ODO = "odo_align_ros.node"
+SWING = "swing_align_ros"
+ODO = "odo_align_ros"
 SYNTH = "sins_align.ros.synth_node"
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

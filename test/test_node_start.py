@@ -1,10 +1,8 @@
-"""Start and end of the nodes: parameters, signals, executors, position, breaks."""
+"""Start of the nodes: parameters, position, breaks."""
 
 from __future__ import annotations
 
-import json
 import math
-import signal
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from node_harness import SWING, SYNTH, Observer, arguments, observing, run_module, running, stop
+from node_harness import SWING, SYNTH, Observer, arguments, observing, run_module, running
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix
 
@@ -71,42 +69,6 @@ def test_a_missing_subscriber_is_one_line_and_status_1() -> None:
     )
     assert done.returncode == 1
     assert "0 of 1 subscribers" in done.stderr
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_ends_with_status_0_and_the_result(number: int, tmp_path: Path) -> None:
-    result = tmp_path / "result.json"
-    with observing() as observer, running(
-        SWING, *arguments({"result_file": result}), log=tmp_path / "log"
-    ) as node:  # fmt: skip
-        wait_until_up(observer)
-        assert stop(node, number) == 0
-    assert "Traceback" not in (tmp_path / "log").read_text()
-    document = json.loads(result.read_text())
-    assert (document["schema"], document["state"]) == (1, "waiting")
-    assert "latitude" in document["reason"]
-
-
-def test_signal_while_samples_come_with_the_events_executor(tmp_path: Path) -> None:
-    node = {
-        "executor": "events", "latitude_deg": 40, "result_file": tmp_path / "result.json",
-        "qos_overrides./imu.subscription.depth": 5000,
-    }  # fmt: skip
-    synth = {"rate": 200.0, "duration_s": 60.0, "grade": "perfect"}
-    with (
-        observing() as observer,
-        running(SWING, *arguments(node), log=tmp_path / "node") as process,
-        running(SYNTH, *arguments(synth), log=tmp_path / "synth") as player,
-    ):
-        wait_until_up(observer)
-        observer.wait(lambda: float(diagnostics(observer)["elapsed_s"]) >= 2.0, "samples")
-        assert stop(process, signal.SIGTERM) == 0
-        assert stop(player, signal.SIGINT) == 0
-    for name in ("node", "synth"):
-        assert "Traceback" not in (tmp_path / name).read_text()
-    document = json.loads((tmp_path / "result.json").read_text())
-    assert document["input"]["imu_samples"] > 400
-    assert document["input"]["imu_gaps"] == 0
 
 
 def test_position_comes_from_the_fix_and_a_gap_begins_anew(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from node_harness import (
     LATCHED,
@@ -23,6 +24,7 @@ from node_harness import (
     running,
     stamp_ns,
 )
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
 
@@ -119,3 +121,28 @@ def test_a_looped_drive_begins_anew_whichever_jumps_first(tmp_path: Path, lead: 
         observer.wait(lambda: state(observer) == "aligned", "the first alignment")
         player.play(run.imu, run.odometer, lead)
         check_second_pass(observer, "odo_align", log, run.imu)
+
+
+@pytest.mark.parametrize("executor", ["single", "events"])
+def test_a_clock_that_stands_or_jumps_back_holds_nothing_up(tmp_path: Path, executor: str) -> None:
+    """With use_sim_time: what waits is taken in all the same, and diagnostics go on."""
+    imu = simulate_swing(SwingOptions(scenario="still", rate_hz=20.0, duration_s=4.0)).imu
+    parameters = {
+        "use_sim_time": True, "executor": executor, "latitude_deg": 40.0,
+        "publish_rate_hz": 0.1,  # an output would take in what waits; this is for a timer to do
+    }  # fmt: skip
+    with observing() as observer, running(SWING, *arguments(parameters), log=tmp_path / "log"):
+        observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+        clock = observer.node.create_publisher(Clock, "/clock", 1)
+        player = Player(observer)
+
+        def diagnosed_at(second: int) -> int:
+            clock.publish(Clock(clock=Time(sec=second)))
+            return sum(
+                message.header.stamp.sec == second for message in observer.received["/diagnostics"]
+            )
+
+        for number, second in enumerate((0, 1000, 400)):  # not begun, stands, has jumped back
+            observer.wait(lambda: diagnosed_at(second) >= 2, f"diagnostics at {second} s")  # noqa: B023
+            player.play(imu.select(slice(20 * number, 20 * (number + 1))))
+        observer.wait(lambda: values(observer)["elapsed_s"] == "2.000", "three seconds of samples")

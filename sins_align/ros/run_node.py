@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -16,10 +16,10 @@ from rclpy.node import Node
 from sins_align.grades import ConfigError
 from sins_align.ros.command import error_text
 from sins_align.ros.node_base import AlignNode, RCLError
+from sins_align.ros.signals import SIGNALS, signals_held
 
 N = TypeVar("N", bound=Node)
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _UNUSABLE = (
     ConfigError, ParameterException, RCLError, RuntimeError, ValueError, OSError, MemoryError
@@ -42,18 +42,15 @@ def run_node(
     """
     # rclpy shuts ROS down at the signal and then calls the handler it found. Python's own
     # would raise in the middle of whatever is going on, a half-taken sample included.
-    for number in _SIGNALS:
+    for number in SIGNALS:
         signal.signal(number, lambda *_: None)
-    # A signal waits until there is a node that can end well.
-    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
-        rclpy.init(args=None if args is None else list(args))
-        node = make_node()
+        with signals_held():  # until there is a node that can end well
+            rclpy.init(args=None if args is None else list(args))
+            node = make_node()
     except _UNUSABLE as error:
         rclpy.try_shutdown()
         return _fail(name, error, 2)
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     try:
         work(node)
     except ExternalShutdownException:
@@ -67,7 +64,7 @@ def run_node(
         node.destroy_node()
         rclpy.try_shutdown()
         # Nothing is left to be stopped, and Python's own exit takes a moment.
-        for number in _SIGNALS:
+        for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
     return 0
 
@@ -88,15 +85,22 @@ def _fail(name: str, error: Exception, status: int) -> int:
     return status
 
 
-def _spin(node: Node, kind: str) -> None:
+def _make_executor(kind: str) -> Any:
     if kind == "single":
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        executor.spin()
-        return
+        return SingleThreadedExecutor()
     from rclpy.experimental import EventsExecutor
 
-    events = EventsExecutor()
-    events.add_node(node)
+    return EventsExecutor()
+
+
+def _spin(node: Node, kind: str) -> None:
+    with signals_held():  # none can be made once ROS is down
+        if not rclpy.ok():
+            return
+        executor = _make_executor(kind)
+    executor.add_node(node)
+    if kind == "single":
+        executor.spin()
+        return
     while rclpy.ok():  # its spin() does not return at a signal
-        events.spin_once(timeout_sec=0.2)
+        executor.spin_once(timeout_sec=0.2)
