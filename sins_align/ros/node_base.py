@@ -78,7 +78,6 @@ class AlignNode(ParameterNode):
         self._grid = PublishGrid(self.values["publish_rate_hz"])
         self._inbox = ImuInbox()
         self._frames_warned = False
-        self._published_ns = 0
         self._silence = SilenceWatch()
         self._logged_state = self.session.status.state
         self._logged_restarts = 0
@@ -167,10 +166,11 @@ class AlignNode(ParameterNode):
         return {}
 
     def _on_imu(self, payload: bytes) -> None:
-        if self._grid.reached(self._inbox.put(payload)):
+        stamp_ns = self._inbox.put(payload)
+        if self._grid.reached(stamp_ns):
             samples = self._flush()
             if samples is not None:
-                self._publish_attitude(samples)
+                self._publish_attitude(samples, stamp_ns)
 
     def _flush(self) -> ImuSamples | None:
         """Hand what has come to the session; the IMU samples of it, None where there are none."""
@@ -223,14 +223,11 @@ class AlignNode(ParameterNode):
             if aligned:
                 self._save()
 
-    def _publish_attitude(self, samples: ImuSamples) -> None:
+    def _publish_attitude(self, samples: ImuSamples, stamp_ns: int) -> None:
         estimate = self.session.estimate
-        if estimate is None or estimate.stamp_ns == self._published_ns:
+        sample = find_sample(samples, stamp_ns, estimate)
+        if estimate is None or sample is None:
             return
-        sample = find_sample(samples, estimate.stamp_ns)
-        if sample is None:
-            return
-        self._published_ns = estimate.stamp_ns
         attitude = messages.attitude_message(estimate, *sample, self._inbox.frame_id)
         self.send(self._attitude, attitude)
         misalignment = messages.misalignment_message(estimate, self.values["nav_frame"])
@@ -248,6 +245,8 @@ class AlignNode(ParameterNode):
 
     def _on_restart(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._flush()
+        if self._aligned:
+            self._save()  # the best of it: this is what stays
         self.session.restart()
         self._announce(self.session.status)
         response.success, response.message = True, "started again"
