@@ -151,7 +151,8 @@ def _grade(values: Mapping[str, Any]) -> ImuGrade:
     return grade_from_values(overrides, load_grade(values["imu_grade"]))
 
 
-def _completion(values: Mapping[str, Any]) -> Completion:
+def completion_of(values: Mapping[str, Any]) -> Completion:
+    """When the alignment is complete, from checked parameter values in YAML units."""
     return Completion(
         values["heading_threshold_arcmin"] * ARCMIN,
         values["level_threshold_arcsec"] * ARCSEC,
@@ -176,7 +177,7 @@ def odo_config(parameters: Mapping[str, object] | None = None) -> OdoConfig:
         position=_position(values),
         grade=_grade(values),
         sampling=ImuSampling(values["imu_sampling"]),
-        completion=_completion(values),
+        completion=completion_of(values),
         stationary=values["aiding"] == "stationary",
         coarse=values["coarse"],
         fading=values["fading"],
@@ -218,7 +219,7 @@ def swing_config(parameters: Mapping[str, object] | None = None) -> SwingConfig:
         position=_position(values),
         grade=_grade(values),
         sampling=ImuSampling(values["imu_sampling"]),
-        completion=_completion(values),
+        completion=completion_of(values),
         passes=values["passes"],
         latitude_check=values["latitude_check"],
         lever_arm_prior=np.array(values["lever_arm_prior_m"]),

@@ -197,6 +197,15 @@ class Session:
             self._position = position
             self._begin(self._begin_reason)
 
+    def set_completion(self, completion: Completion, latitude_check: str | None = None) -> None:
+        """Other thresholds, from the next block on; everything else goes on as it was.
+
+        latitude_check : 'warn', 'fail' or 'off'; None: as before
+        """
+        check = latitude_check or self._config.latitude_check
+        self._config = replace(self._config, completion=completion, latitude_check=check)
+        self._completer.set_completion(completion, check)
+
     def restart(self, reason: str = "restarted on request") -> None:
         """Forget everything but the counts and the position, and start again."""
         self._restart(reason)
@@ -319,11 +328,6 @@ class Session:
         if ahead == 0.0:
             hold -= self._completer.held_s(status.elapsed_s)
         return max(ahead + hold, 0.0)
-
-    def set_completion(self, completion: Completion) -> None:
-        """Other thresholds, from the next step on; nothing is lost by it."""
-        self._config = replace(self._config, completion=completion)
-        self._completer.completion = completion
 
     @property
     def conclusion(self) -> Estimate | None:

@@ -107,6 +107,11 @@ class Completer:
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
+    def set_completion(self, completion: Completion, latitude_check: str) -> None:
+        """Other thresholds, from the next step on; for how long all was well stays known."""
+        self.completion = completion
+        self._expectation = self._expectation._replace(latitude_check=latitude_check)
+
     def update(self, step: Advance, elapsed_s: float, begin_reason: str = "") -> Status:
         """Status after a step of the aligner.
 
@@ -146,7 +151,7 @@ class Completer:
             self._below_since_s = elapsed_s
         held = elapsed_s - self._below_since_s
         if held < self.completion.hold_s:
-            self._state = self._degree(estimate)
+            self._state, self._aligned_at_s = self._degree(estimate), None
             holding = HOLDING(held_s=held, hold_s=self.completion.hold_s)
             return Status(self._state, (holding, *findings), elapsed_s, None, limit)
         self._state = State.ALIGNED

@@ -534,3 +534,32 @@ def test_a_force_that_is_not_gravity_is_told(factor: float) -> None:
     assert session.estimate is None
     assert updates and all(u.status.state is State.FAILED for u in updates)
     assert "m/s^2" in session.status.reason and "gravity" in session.status.remedy
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_other_thresholds_count_from_the_next_estimate_on_and_lose_nothing(restart: bool) -> None:
+    strict, loose = config(heading_threshold_arcmin=1e-5), config(
+        heading_threshold_arcmin=600.0, level_threshold_arcsec=600.0, hold_s=1.0
+    )  # fmt: skip
+    samples = imu(duration_s=30.0)
+    changed, always = Session(strict), Session(loose)
+    for session in (changed, always):
+        session.add_imu(samples.select(slice(0, 2000)))
+    assert changed.status.state is State.FINE
+    assert "not below 1e-05'" in changed.status.reason
+    changed.set_completion(loose.completion)
+    assert changed.config.completion == loose.completion
+    if restart:
+        for session in (changed, always):
+            session.restart()
+        samples = shifted(samples, 60 * SECOND)
+    rest = samples.select(slice(0 if restart else 2000, None))
+    found, expected = changed.add_imu(rest), always.add_imu(rest)
+    assert found[-1].status.state is expected[-1].status.state is State.ALIGNED
+    for one, other in zip(found, expected, strict=True):
+        if one.estimate is not None and other.estimate is not None:
+            np.testing.assert_array_equal(one.estimate.q_nb, other.estimate.q_nb)
+    changed.set_completion(strict.completion)
+    more = changed.add_imu(shifted(samples.select(slice(1, 1600)), 30 * SECOND))
+    assert more[-1].status.state is not State.ALIGNED
+    assert more[-1].status.aligned_at_s is None

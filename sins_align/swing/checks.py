@@ -34,12 +34,10 @@ class Checks:
     Parameters
     ----------
     gravity, noise : models of the filter
-    with_latitude : whether the latitude is to be found
     """
 
-    def __init__(self, gravity: GravityModel, noise: NoiseModel, with_latitude: bool) -> None:
+    def __init__(self, gravity: GravityModel, noise: NoiseModel) -> None:
         self._gravity = gravity
-        self._with_latitude = with_latitude
         self._fit = VelocityFit(gravity, noise)
         self._steadiness = Steadiness()
 
@@ -65,7 +63,7 @@ class Checks:
         )
         latitude, moved = None, None
         given = self._gravity.latitude
-        column = latitude_column(solution, given) if self._with_latitude else None
+        column = latitude_column(solution, given)
         if column is not None:
             off, sigma, response = solver.score(filter_.normal, solution, column)
             latitude = LatitudeEstimate(given + off, sigma)

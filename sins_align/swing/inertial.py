@@ -116,7 +116,7 @@ class InertialAligner:
         self._excitation = LeverExcitation(self._noise.gyro, self._noise.position)
         self._lever = self._excitation.directions()
         self._epochs = Epochs()
-        self._checks = Checks(self._gravity, self._noise, config.latitude_check != "off")
+        self._checks = Checks(self._gravity, self._noise)
         self._filter = TwoStageFilter(self._noise)
         self._filtered = 0  # epochs that the filter has taken in
         self._about: Linearisation | None = None
