@@ -263,6 +263,7 @@ def test_the_waiting_state_says_what_it_waits_for() -> None:
     assert (session.status.state, session.status.reason) == (State.WAITING, "no IMU data")
     assert session.imu_rate_hz is None
     session.add_imu(imu().select(slice(0, 50)))
+    assert (session.status.state, session.status.keys) == (State.WAITING, ("levelling",))
     stuck = Session(CONFIG)
     ones = copied(imu().select(slice(0, 200)))
     ones.stamp_ns[...] = 0
@@ -270,7 +271,9 @@ def test_the_waiting_state_says_what_it_waits_for() -> None:
     assert stuck.status.reason == "199 of 200 IMU samples refused"
     assert "stamps" in stuck.status.remedy
     stuck.restart("again")
-    assert (stuck.status.reason, stuck.status.remedy) == ("again", "")
+    assert stuck.status.state is State.WAITING
+    assert stuck.status.reason == "no IMU data; began anew: again"
+    assert "refused" not in stuck.status.reason and "topic imu" in stuck.status.remedy
 
 
 @pytest.mark.parametrize("rate_hz", [2.5, 5.0, 7.0])
@@ -408,7 +411,8 @@ def test_restart_forgets_all_but_the_counts() -> None:
     session.restart()
     assert session.estimate is None
     assert (session.restarts, session.begin_reason) == (1, "restarted on request")
-    assert (session.status.state, session.status.reason) == (State.WAITING, "restarted on request")
+    assert session.status.state is State.WAITING
+    assert session.status.reason == "no IMU data; began anew: restarted on request"
     samples = shifted(imu(seed=9), 1000 * SECOND)
     session.add_imu(samples)
     expected, _ = run(samples)
@@ -525,15 +529,31 @@ def test_what_is_sound() -> None:
     assert not is_sound(dataclasses.replace(good, q_nb=np.full(4, math.nan)))
 
 
-@pytest.mark.parametrize("factor", [0.0, 1.0 / 9.80665, 2.0])
-def test_a_force_that_is_not_gravity_is_told(factor: float) -> None:
+@pytest.mark.parametrize(
+    ("factor", "key", "size", "helps"),
+    [
+        (0.0, "gravity_removed", "0 m/s^2", "gravity included"),
+        (1.0 / 9.80665, "force_in_g", "in g, not in m/s^2", "multiply by 9.80665"),
+        (0.5, "gravity_removed", "4.87 m/s^2", "gravity included"),
+        (2.0, "force_size", "19.5 m/s^2", "units and scale"),
+    ],
+)
+def test_a_force_that_is_not_gravity_is_told(
+    factor: float, key: str, size: str, helps: str
+) -> None:
     """In g, with gravity removed, or doubled: refused by name, and never an attitude."""
     samples = imu(duration_s=20.0)
     wrong = ImuSamples(samples.stamp_ns, samples.w_ib_b, factor * samples.f_ib_b)
     session, updates = run(wrong)
     assert session.estimate is None
     assert updates and all(u.status.state is State.FAILED for u in updates)
-    assert "m/s^2" in session.status.reason and "gravity" in session.status.remedy
+    assert all(u.status.keys == (key,) for u in updates)
+    assert size in session.status.reason and helps in session.status.remedy
+    assert "gravity" in session.status.reason + session.status.remedy
+    # Mended on the way, it begins by itself.
+    session.add_imu(shifted(imu(), 20 * SECOND + 10_000_000))
+    assert session.status.state in (State.COARSE, State.FINE)
+    assert session.estimate is not None
 
 
 @pytest.mark.parametrize("restart", [False, True])
