@@ -333,6 +333,15 @@ LATITUDE_DIFFERS = Reason(
     "With latitude_check: warn; what it may do to the attitude is in its covariance."
     " Ends when the two agree.",
 )
+LATITUDE_DOUBTED = Reason(
+    "latitude_doubted",
+    Kind.DOUBT,
+    "by the IMU the latitude is off by {ratio:.1f} times sigma ({sigma_deg:.3f} deg)",
+    "check latitude_deg or the fix",
+    "Of 3 sigma and more with latitude_check: fail, of 5 while there is no heading. Ends when more"
+    " data have told which of the two it is.",
+    "odo",
+)
 ODOMETER_OPPOSITE = Reason(
     "odometer_opposite",
     Kind.DOUBT,

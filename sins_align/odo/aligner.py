@@ -30,6 +30,7 @@ from sins_align.reasons import (
     HEADING_COARSE,
     HEADING_UNOBSERVABLE,
     INCONSISTENT,
+    LATITUDE_DOUBTED,
     LEVELLING,
     NO_ODOMETER,
     UNOBSERVABLE_HERE,
@@ -46,6 +47,7 @@ from sins_align.types import (
     Array,
     Estimate,
     ImuBlock,
+    LatitudeEstimate,
     OdometerSamples,
     Position,
     Witness,
@@ -62,6 +64,10 @@ YOUNG_EPOCHS, DISBELIEF = 60, 6.0
 MOST_BEGINNINGS = 3
 # Once the azimuth is known, nothing is gained by epochs as short as before.
 LONG_EPOCH_S = 2.0
+# A latitude off by so many sigma is to be told from the given one before aligned is claimed.
+DOUBTED_LATITUDE, WRONG_LATITUDE = 3.0, 5.0
+# Less certain than this it is not given out [rad].
+LATITUDE_SIGMA = math.radians(2.0)
 
 TURN_MOTION = "drive a circle, or turn by 90 deg or more"
 # Nearer to a pole the Earth's rate is vertical, and no gyro of a vehicle finds north.
@@ -155,7 +161,7 @@ class OdoAligner:
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
             return Advance(stamp_ns, None, self._why_not())
-        return Advance(stamp_ns, self._estimate)
+        return Advance(stamp_ns, self._estimate, self._doubts())
 
     def _is_stillborn(self, filter_: AidedFilter) -> bool:
         """Whether the first epochs contradict each other: one of them was an outlier.
@@ -215,6 +221,22 @@ class OdoAligner:
         least = start_sigma(self._config.odometer) ** 2
         return variance < least and wander.consistency <= PUBLISH_CONSISTENCY
 
+    def _doubts(self) -> tuple[Finding, ...]:
+        """Why the estimate is not to be believed, beyond what can be seen of it."""
+        if self._config.latitude_check != "fail":
+            return ()
+        return self._latitude_doubt(DOUBTED_LATITUDE)
+
+    def _latitude_doubt(self, most: float) -> tuple[Finding, ...]:
+        """Whether the latitude that was given is off by more than so many sigma."""
+        own = None if self._wander is None else self._wander.latitude
+        if own is None:
+            return ()
+        ratio = abs(own.latitude - self._position.latitude) / own.sigma
+        if not ratio > most:
+            return ()
+        return (LATITUDE_DOUBTED(ratio=ratio, sigma_deg=math.degrees(own.sigma)),)
+
     def _why_not(self) -> tuple[Finding, ...]:
         """Why there is no estimate yet."""
         if math.isnan(self._limit):
@@ -237,6 +259,9 @@ class OdoAligner:
         elif self._limit > PUBLISH_SIGMA:
             limit = f"{math.degrees(self._limit):.1f} deg"
             findings.append(HEADING_UNOBSERVABLE(limit=limit, motion=TURN_MOTION))
+        if self._config.latitude_check != "off":
+            # One that is far out keeps heading from ever being known.
+            findings += self._latitude_doubt(WRONG_LATITUDE)
         return tuple(findings)
 
     @property
@@ -281,7 +306,12 @@ class OdoAligner:
             odometer=None if self._config.stationary else knowledge.odometer,
             consistency=filter_.consistency,
             witness=self._witness,
+            latitude=self._latitude(),
         )
+
+    def _latitude(self) -> LatitudeEstimate | None:
+        own = None if self._wander is None else self._wander.latitude
+        return own if own is not None and own.sigma < LATITUDE_SIGMA else None
 
     def _carry(self, filter_: AidedFilter, C_nb: Array, block: ImuBlock) -> tuple[Array, float]:
         """C_nb at the end of `block`, and how far that is from the last epoch's end [s]."""
