@@ -9,6 +9,7 @@ import numpy as np
 from sins_align.config import OdoConfig
 from sins_align.increments import integrate_rotation
 from sins_align.limits import heading_limit
+from sins_align.odo.doubts import Doubts
 from sins_align.odo.epoch import AidedEpoch, integrate_epoch
 from sins_align.odo.filter import AidedFilter
 from sins_align.odo.knowledge import Knowledge, carry_attitude, knowledge_of
@@ -30,7 +31,6 @@ from sins_align.reasons import (
     HEADING_COARSE,
     HEADING_UNOBSERVABLE,
     INCONSISTENT,
-    LATITUDE_DOUBTED,
     LEVELLING,
     NO_ODOMETER,
     UNOBSERVABLE_HERE,
@@ -64,9 +64,7 @@ YOUNG_EPOCHS, DISBELIEF = 60, 6.0
 MOST_BEGINNINGS = 3
 # Once the azimuth is known, nothing is gained by epochs as short as before.
 LONG_EPOCH_S = 2.0
-# A latitude off by so many sigma is to be told from the given one before aligned is claimed.
-DOUBTED_LATITUDE, WRONG_LATITUDE = 3.0, 5.0
-# Less certain than this it is not given out [rad].
+# A latitude less certain than this is not given out [rad].
 LATITUDE_SIGMA = math.radians(2.0)
 
 TURN_MOTION = "drive a circle, or turn by 90 deg or more"
@@ -88,6 +86,7 @@ class OdoAligner:
         self._position = position
         self._pairing = Pairing(None if config.stationary else config.odometer)
         self._detector = StandingDetector(config.grade, config.stationary)
+        self._doubts = Doubts(config, position.latitude)
         self._begun_anew = 0
         self._has_lost_azimuth = False
         self._begin()
@@ -142,8 +141,9 @@ class OdoAligner:
     def _take_in(self, paired: Paired, delay: float) -> Advance:
         """Take in an epoch, paired with the odometer `delay` [s] later than is declared."""
         stamp_ns = int(paired.block.stamp_ns[-1])
+        stands = self._config.stationary
         if self._filter is not None:
-            self._process(paired, delay)
+            stands = self._process(paired, delay)
         else:
             started = self._starter.add(paired, self._pairing.quantum)
             if started is not None:
@@ -153,6 +153,10 @@ class OdoAligner:
         if any(map(self._is_stillborn, self._filters())):
             self._begin()
             self._begun_anew += 1
+        if self._doubts.add(paired, stands):
+            # What was learned of an odometer that was wrong is wrong.
+            self._begin()
+            self._begun_anew = 0
         self._give_up()
         self._follow()
         self._known = None if self._filter is None else knowledge_of(self._filter)
@@ -160,8 +164,12 @@ class OdoAligner:
             self._witness = _compare(self._known, knowledge_of(self._wander))
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
-            return Advance(stamp_ns, None, self._why_not())
-        return Advance(stamp_ns, self._estimate, self._doubts())
+            return Advance(stamp_ns, None, (*self._doubts_now(), *self._why_not()))
+        return Advance(stamp_ns, self._estimate, self._doubts_now())
+
+    def _doubts_now(self) -> tuple[Finding, ...]:
+        own = None if self._wander is None else self._wander.latitude
+        return self._doubts.findings(own, self._estimate is not None)
 
     def _is_stillborn(self, filter_: AidedFilter) -> bool:
         """Whether the first epochs contradict each other: one of them was an outlier.
@@ -173,16 +181,18 @@ class OdoAligner:
         infant = filter_.epochs <= INFANT_EPOCHS and filter_.nis > CONTRADICTION
         return infant or (filter_.epochs <= YOUNG_EPOCHS and filter_.consistency > DISBELIEF)
 
-    def _process(self, paired: Paired, delay: float) -> None:
-        """Every filter integrates the epoch with its own biases."""
-        standing = None
+    def _process(self, paired: Paired, delay: float) -> bool:
+        """Every filter integrates the epoch with its own biases; whether the vehicle stands."""
+        standing, stands = None, False
         for filter_ in self._filters():
             epoch = self._integrate(filter_, paired, delay)
             if standing is None:
                 standing = self._detector.judge(epoch)
-                self._detector.note(epoch, filter_.process(epoch, standing))
+                stands = filter_.process(epoch, standing)
+                self._detector.note(epoch, stands)
             else:
                 filter_.process(epoch, standing)
+        return stands
 
     def _integrate(self, filter_: AidedFilter, paired: Paired, delay: float) -> AidedEpoch:
         filter_.odometer.quantum = self._pairing.quantum
@@ -221,22 +231,6 @@ class OdoAligner:
         least = start_sigma(self._config.odometer) ** 2
         return variance < least and wander.consistency <= PUBLISH_CONSISTENCY
 
-    def _doubts(self) -> tuple[Finding, ...]:
-        """Why the estimate is not to be believed, beyond what can be seen of it."""
-        if self._config.latitude_check != "fail":
-            return ()
-        return self._latitude_doubt(DOUBTED_LATITUDE)
-
-    def _latitude_doubt(self, most: float) -> tuple[Finding, ...]:
-        """Whether the latitude that was given is off by more than so many sigma."""
-        own = None if self._wander is None else self._wander.latitude
-        if own is None:
-            return ()
-        ratio = abs(own.latitude - self._position.latitude) / own.sigma
-        if not ratio > most:
-            return ()
-        return (LATITUDE_DOUBTED(ratio=ratio, sigma_deg=math.degrees(own.sigma)),)
-
     def _why_not(self) -> tuple[Finding, ...]:
         """Why there is no estimate yet."""
         if math.isnan(self._limit):
@@ -259,9 +253,6 @@ class OdoAligner:
         elif self._limit > PUBLISH_SIGMA:
             limit = f"{math.degrees(self._limit):.1f} deg"
             findings.append(HEADING_UNOBSERVABLE(limit=limit, motion=TURN_MOTION))
-        if self._config.latitude_check != "off":
-            # One that is far out keeps heading from ever being known.
-            findings += self._latitude_doubt(WRONG_LATITUDE)
         return tuple(findings)
 
     @property
