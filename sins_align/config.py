@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sins_align.grades import ConfigError, ImuGrade, grade_from_values, load_grade
 from sins_align.parameters import GRADE_OVERRIDES, check_values
+from sins_align.stored import StoredAlignment, read_stored_alignment
 from sins_align.types import Array, ImuSampling, Position
 from sins_align.units import ARCMIN, ARCSEC, DEG
 
@@ -61,6 +63,7 @@ class SwingConfig:
     lever_arm_prior : (3,) in b [m], with lever_arm_prior_sigma [m] per axis
     position_noise : floor, 1 sigma of the swing centre at a filter step [m]
     position_walk : random walk of the swing centre [m/sqrt(s)]
+    initial : an alignment to go on from, None: there is none
     """
 
     method: str
@@ -74,6 +77,7 @@ class SwingConfig:
     position_noise: float
     position_walk: float
     paper: PaperConfig
+    initial: StoredAlignment | None = None
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,7 @@ class OdoConfig:
     stationary : the vehicle stands, and needs no odometer
     coarse, fading, nodes : of the methods with a large azimuth error: what they start from,
         strong tracking, nodes of the Gauss-Hermite rule
+    initial : an alignment to go on from, None: there is none
     """
 
     method: str
@@ -127,6 +132,7 @@ class OdoConfig:
     coarse: str
     fading: str
     nodes: int
+    initial: StoredAlignment | None = None
 
 
 def _position(values: Mapping[str, Any]) -> Position | None:
@@ -155,6 +161,20 @@ def _completion(values: Mapping[str, Any]) -> Completion:
     )
 
 
+def _initial(values: Mapping[str, Any]) -> StoredAlignment | None:
+    """The stored alignment that the parameter names.
+
+    Raises
+    ------
+    ConfigError : there is none in that file; names parameter, file and key
+    """
+    name = values["initial_result_file"]
+    try:
+        return read_stored_alignment(Path(name)) if name else None
+    except ConfigError as error:
+        raise ConfigError(f"initial_result_file: {error}") from None
+
+
 def _none_if_nan(value: float) -> float | None:
     return None if math.isnan(value) else value
 
@@ -177,6 +197,7 @@ def odo_config(parameters: Mapping[str, object] | None = None) -> OdoConfig:
         coarse=values["coarse"],
         fading=values["fading"],
         nodes=values["gauss_hermite_nodes"],
+        initial=_initial(values),
         odometer=OdometerConfig(
             timeout_s=values["odom_timeout_s"],
             latency=values["odometer_latency_s"],
@@ -219,6 +240,7 @@ def swing_config(parameters: Mapping[str, object] | None = None) -> SwingConfig:
         lever_arm_prior_sigma=values["lever_arm_prior_sigma_m"],
         position_noise=noise,
         position_walk=0.4 * noise if math.isnan(walk) else walk,
+        initial=_initial(values),
         paper=PaperConfig(
             differentiator=values["differentiator"],
             regression=values["regression"],

@@ -71,6 +71,11 @@ COMMON_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("publish_rate_hz", 50.0, "rate of the attitude output", low=0.1, high=1000.0),
     Parameter("nav_frame", "map", "frame_id of the ENU frame"),
     Parameter("result_file", "", "result.json is written here; empty: nowhere"),
+    Parameter(
+        "initial_result_file",
+        "",
+        "a result.json to go on from, if the vehicle has not moved since; empty: none",
+    ),
     Parameter("executor", "single", "rclpy executor of the node", choices=("single", "events")),
 )
 

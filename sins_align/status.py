@@ -93,6 +93,8 @@ class Completer:
         state = State.FINE if fine else State.COARSE
         if not missing:
             missing = f"below the thresholds for {held:.0f} of {self._completion.hold_s:g} s"
+        missing = "; ".join(filter(None, (missing, step.reason)))
+        remedy = "; ".join(filter(None, (remedy, step.remedy)))
         return Status(state, missing, remedy, elapsed_s, None, limit)
 
     def _missing(self, estimate: Estimate, limit: float) -> tuple[str, str]:

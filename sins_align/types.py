@@ -240,7 +240,8 @@ class Advance(NamedTuple):
     """How far an aligner has come.
 
     stamp_ns : of the last sample used [ns]
-    estimate : None before the coarse attitude exists; reason, remedy: why not, and what helps
+    estimate : None before the coarse attitude exists
+    reason, remedy : why there is none, and what helps; with an estimate, what else is to be said
     """
 
     stamp_ns: int

@@ -1,0 +1,249 @@
+"""Going on from a stored alignment until a new one is better.
+
+The aligner proper gets every sample from the first one on, as if nothing had been stored. For
+the first `CHECK_S` the stored alignment is checked (`stored_check`); if it fits, its attitude,
+carried on by the gyros (`carried`), is what is given out until the aligner proper knows heading
+better. The two are never fused: heading error and gyro bias are one error, delta psi = b_E /
+(Omega cos L), which both alignments share, and fusing them as independent would claim
+sigma / sqrt(2) for nothing. While both are there they have to agree, so that a turn that the
+check was too short to see is found as soon as the aligner proper sees it.
+
+What has been dropped is dropped for good.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sins_align.carried import (
+    Carried,
+    Carrier,
+    begin,
+    carry,
+    misalignment_covariance,
+    spread,
+)
+from sins_align.config import OdoConfig, SwingConfig
+from sins_align.earth import earth_rate_n
+from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
+from sins_align.status import MAX_CONSISTENCY
+from sins_align.stored import StoredAlignment
+from sins_align.stored_check import CHECK_S, CHECKING, CHI_SQUARE_LIMIT, Passed, StoredCheck
+from sins_align.types import (
+    Advance,
+    AidedAligner,
+    Aligner,
+    Array,
+    Estimate,
+    ImuBlock,
+    OdometerSamples,
+    Position,
+)
+from sins_align.units import ARCMIN
+
+# Chi-square of 3 degrees of freedom with one false alarm in 1e5: it is asked again and again.
+AGREEMENT_LIMIT = 25.90
+# The vehicle drives when its odometer says so for half of the check [m/s].
+DRIVING_SPEED = 0.1
+
+CONTRADICTED = (
+    "the stored alignment does not fit: the new one differs by {angle:.2g}' in heading"
+    " (sigma {sigma:.2g}')"
+)
+DRIVES = "the vehicle drives: the stored alignment cannot be taken over"
+CHECK_REMEDY = "keep the base still"
+DROPPED_REMEDY = "clear initial_result_file once the base has been moved"
+
+
+class ResumingAligner:
+    """An aligner that starts with a stored alignment; fulfils `Aligner`.
+
+    Parameters
+    ----------
+    aligner : the aligner proper
+    config : its settings
+    position : latitude and altitude give Earth rate and gravity
+    stored : what to go on from
+    """
+
+    def __init__(
+        self,
+        aligner: Aligner,
+        config: SwingConfig | OdoConfig,
+        position: Position,
+        stored: StoredAlignment,
+    ) -> None:
+        self._aligner = aligner
+        drives = isinstance(config, OdoConfig) and not config.stationary
+        self._carrier = Carrier(config.grade, config.sampling, position, drives)
+        self._check: StoredCheck | None = StoredCheck(
+            stored, config.grade, config.sampling, config.completion, position.latitude
+        )
+        self._carried: Carried | None = None  # while it is given out
+        self._consistency = 0.0
+        self._stamp_ns = 0  # end of the last block, and its last sample
+        self._tail = ImuBlock(np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros((3, 0)))
+        self._dropped = ""  # why
+
+    def update(self, block: ImuBlock) -> list[Advance]:
+        """Take in the next block; a step for each while the stored attitude is given out."""
+        before_ns, self._stamp_ns = self._stamp_ns, int(block.stamp_ns[-1])
+        self._tail = ImuBlock(block.stamp_ns[-1:], block.w_ib_b[:, -1:], block.f_ib_b[:, -1:])
+        if self._carried is not None:
+            self._carried = carry(self._carried, block, self._carrier)
+        steps = self._aligner.update(block)
+        if self._check is not None:
+            self._check.add(block)
+            if self._check.elapsed_s >= CHECK_S:
+                self._settle(self._check)
+        steps = self._take(steps, before_ns)
+        if self._carried is not None:
+            return [Advance(self._stamp_ns, self._given_out(self._carried, self._stamp_ns))]
+        return steps
+
+    def _take(self, steps: list[Advance], before_ns: int) -> list[Advance]:
+        """Those steps of the aligner proper that are to be given out.
+
+        before_ns : nothing up to this stamp, where the stored attitude is further on
+        """
+        if self._carried is None:
+            return [self._remark(step) for step in steps]
+        if all(step.estimate is None for step in steps) or self._is_best(self._carried):
+            return []
+        self._carried = None
+        return [self._remark(step) for step in steps if step.stamp_ns > before_ns]
+
+    def _remark(self, step: Advance) -> Advance:
+        """The step, with what is to be said of the stored alignment."""
+        if self._check is not None:
+            done = min(self._check.elapsed_s, CHECK_S)
+            reason, remedy = CHECKING.format(done=done, whole=CHECK_S), CHECK_REMEDY
+        elif self._dropped:
+            reason, remedy = self._dropped, DROPPED_REMEDY
+        else:
+            return step
+        return step._replace(
+            reason="; ".join(filter(None, (step.reason, reason))),
+            remedy="; ".join(filter(None, (step.remedy, remedy))),
+        )
+
+    def _settle(self, check: StoredCheck) -> None:
+        """Take the stored alignment over, or drop it."""
+        self._check = None
+        verdict = self._doubt() or check.judge()
+        if isinstance(verdict, str):
+            self._dropped = verdict
+            return
+        self._carried = self._begin(verdict)
+        # One number that has passed its test is not to fail another: 1 is where it ends.
+        self._consistency = verdict.chi_square / CHI_SQUARE_LIMIT
+
+    def _doubt(self) -> str:
+        """Why the check need not be looked at; '' where it is to be. For what aids."""
+        return ""
+
+    def _begin(self, passed: Passed) -> Carried:
+        """From the middle of the check to its end."""
+        start = begin(passed.C_nb, passed.covariance, passed.gyro_bias)
+        w_ie_n = earth_rate_n(self._carrier.position.latitude)
+        lever = passed.C_nb * passed.half_s
+        covariance = spread(start, w_ie_n, lever, passed.half_s, self._carrier.grade)
+        return replace(start, covariance=covariance)
+
+    def _is_best(self, carried: Carried) -> bool:
+        """Whether the new alignment neither contradicts the stored one nor is better."""
+        new = self._aligner.propagate(self._tail)
+        if new is None or new.consistency > MAX_CONSISTENCY:
+            return True
+        P = misalignment_covariance(carried, self._carrier)
+        both = P + new.misalignment_covariance
+        phi = log_rotation(dcm_from_quaternion(new.q_nb) @ carried.C_nb.T)
+        if not float(phi @ np.linalg.solve(both, phi)) <= AGREEMENT_LIMIT:
+            angle, sigma = abs(float(phi[2])) / ARCMIN, math.sqrt(both[2, 2]) / ARCMIN
+            self._dropped = CONTRADICTED.format(angle=angle, sigma=sigma)
+            return False
+        return not new.misalignment_covariance[2, 2] < P[2, 2]
+
+    def _given_out(self, carried: Carried, stamp_ns: int) -> Estimate:
+        """As an estimate; the accelerometers' bias is what is declared, nothing more is known.
+
+        What only the aligner proper can know, lever arm or odometer, is its own.
+        """
+        new = self._aligner.estimate
+        return Estimate(
+            stamp_ns=stamp_ns,
+            q_nb=quaternion_from_dcm(carried.C_nb),
+            misalignment_covariance=misalignment_covariance(carried, self._carrier),
+            gyro_bias=carried.gyro_bias,
+            gyro_bias_sigma=np.sqrt(carried.covariance.diagonal()[3:]),
+            accel_bias=np.zeros(3),
+            accel_bias_sigma=np.full(3, self._carrier.grade.accel_bias),
+            lever_arm=None if new is None else new.lever_arm,
+            odometer=None if new is None else new.odometer,
+            consistency=self._consistency,
+        )
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """At the last stamp of the last block."""
+        if self._carried is None:
+            return self._aligner.estimate
+        return self._given_out(self._carried, self._stamp_ns)
+
+    def propagate(self, block: ImuBlock) -> Estimate | None:
+        """`estimate` carried to the end of `block` by the gyros; changes nothing."""
+        if self._carried is None:
+            return self._aligner.propagate(block)
+        ahead = carry(self._carried, block, self._carrier)
+        return self._given_out(ahead, int(block.stamp_ns[-1]))
+
+    def conclude(self, block: ImuBlock) -> Estimate | None:
+        """The better of the stored attitude and all that the aligner proper knows."""
+        new = self._aligner.conclude(block)
+        old = self.propagate(block)
+        if self._carried is None or old is None:
+            return new
+        if new is None or new.consistency > MAX_CONSISTENCY:
+            return old
+        return new if _heading_variance(new) < _heading_variance(old) else old
+
+
+def _heading_variance(estimate: Estimate) -> float:
+    P: Array = estimate.misalignment_covariance
+    return float(P[2, 2])
+
+
+class ResumingAidedAligner(ResumingAligner):
+    """`ResumingAligner` for one that needs an odometer; fulfils `AidedAligner`."""
+
+    def __init__(
+        self,
+        aligner: AidedAligner,
+        config: OdoConfig,
+        position: Position,
+        stored: StoredAlignment,
+    ) -> None:
+        super().__init__(aligner, config, position, stored)
+        self._aided = aligner
+        self._samples: list[OdometerSamples] = []  # while the check goes on
+
+    def aid(self, samples: OdometerSamples) -> list[Advance]:
+        """Take in samples of the odometer."""
+        if self._check is not None:
+            self._samples.append(samples)
+        return self._take(self._aided.aid(samples), self._stamp_ns)
+
+    def _doubt(self) -> str:
+        """A vehicle that drives straight on is as still as one that stands."""
+        end_ns, begin_ns = self._stamp_ns, self._stamp_ns - round(CHECK_S * 1e9)
+        speeds = [
+            speed
+            for samples in self._samples
+            for stamp_ns, speed in zip(samples.stamp_ns.tolist(), samples.speed, strict=True)
+            if begin_ns <= stamp_ns <= end_ns
+        ]
+        self._samples = []
+        return DRIVES if speeds and float(np.median(np.abs(speeds))) > DRIVING_SPEED else ""
