@@ -3,10 +3,13 @@
 The aligner proper gets every sample from the first one on, as if nothing had been stored. For
 the first `CHECK_S` the stored alignment is checked (`stored_check`); if it fits, its attitude,
 carried on by the gyros (`carried`), is what is given out until the aligner proper knows heading
-better. The two are never fused: heading error and gyro bias are one error, delta psi = b_E /
-(Omega cos L), which both alignments share, and fusing them as independent would claim
-sigma / sqrt(2) for nothing. While both are there they have to agree, so that a turn that the
-check was too short to see is found as soon as the aligner proper sees it.
+better. Where a sway hides the Earth's rate from the check, the aligner proper has to agree first,
+once it knows heading to `HEADING_SIGMA`.
+
+The two are never fused: heading error and gyro bias are one error, delta psi = b_E / (Omega cos L),
+which both alignments share, and fusing them as independent would claim sigma / sqrt(2) for
+nothing. While both are there they have to agree, so that a turn that the check was too short to
+see is found as soon as the aligner proper sees it.
 
 What has been dropped is dropped for good.
 """
@@ -31,7 +34,14 @@ from sins_align.earth import earth_rate_n
 from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
 from sins_align.status import MAX_CONSISTENCY
 from sins_align.stored import StoredAlignment
-from sins_align.stored_check import CHECK_S, CHECKING, CHI_SQUARE_LIMIT, Passed, StoredCheck
+from sins_align.stored_check import (
+    CHECK_S,
+    CHECKING,
+    CHI_SQUARE_LIMIT,
+    HEADING_SIGMA,
+    Passed,
+    StoredCheck,
+)
 from sins_align.types import (
     Advance,
     AidedAligner,
@@ -52,6 +62,10 @@ DRIVING_SPEED = 0.1
 CONTRADICTED = (
     "the stored alignment does not fit: the new one differs by {angle:.2g}' in heading"
     " (sigma {sigma:.2g}')"
+)
+CONFIRMING = (
+    "checking the stored alignment: the base sways, and the new heading is not known to"
+    " {sigma:.1f} deg yet"
 )
 DRIVES = "the vehicle drives: the stored alignment cannot be taken over"
 CHECK_REMEDY = "keep the base still"
@@ -82,7 +96,8 @@ class ResumingAligner:
         self._check: StoredCheck | None = StoredCheck(
             stored, config.grade, config.sampling, config.completion, position.latitude
         )
-        self._carried: Carried | None = None  # while it is given out
+        self._carried: Carried | None = None  # from the check on, while nothing is better
+        self._is_confirmed = False  # and whether it is given out
         self._consistency = 0.0
         self._stamp_ns = 0  # end of the last block, and its last sample
         self._tail = ImuBlock(np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros((3, 0)))
@@ -100,27 +115,38 @@ class ResumingAligner:
             if self._check.elapsed_s >= CHECK_S:
                 self._settle(self._check)
         steps = self._take(steps, before_ns)
-        if self._carried is not None:
-            return [Advance(self._stamp_ns, self._given_out(self._carried, self._stamp_ns))]
-        return steps
+        given = self._given
+        if given is None:
+            return steps
+        return [Advance(self._stamp_ns, self._given_out(given, self._stamp_ns))]
+
+    @property
+    def _given(self) -> Carried | None:
+        """The stored attitude, where it is what is given out."""
+        return self._carried if self._is_confirmed else None
 
     def _take(self, steps: list[Advance], before_ns: int) -> list[Advance]:
         """Those steps of the aligner proper that are to be given out.
 
         before_ns : nothing up to this stamp, where the stored attitude is further on
         """
-        if self._carried is None:
-            return [self._remark(step) for step in steps]
-        if all(step.estimate is None for step in steps) or self._is_best(self._carried):
+        before = self._given
+        if self._carried is not None and any(step.estimate is not None for step in steps):
+            self._carried = self._weigh(self._carried)
+        if self._given is not None:
             return []
-        self._carried = None
-        return [self._remark(step) for step in steps if step.stamp_ns > before_ns]
+        if before is not None:
+            steps = [step for step in steps if step.stamp_ns > before_ns]
+        return [self._remark(step) for step in steps]
 
     def _remark(self, step: Advance) -> Advance:
         """The step, with what is to be said of the stored alignment."""
         if self._check is not None:
             done = min(self._check.elapsed_s, CHECK_S)
             reason, remedy = CHECKING.format(done=done, whole=CHECK_S), CHECK_REMEDY
+        elif self._carried is not None:
+            sigma = math.degrees(HEADING_SIGMA)
+            reason, remedy = CONFIRMING.format(sigma=sigma), CHECK_REMEDY
         elif self._dropped:
             reason, remedy = self._dropped, DROPPED_REMEDY
         else:
@@ -137,7 +163,7 @@ class ResumingAligner:
         if isinstance(verdict, str):
             self._dropped = verdict
             return
-        self._carried = self._begin(verdict)
+        self._carried, self._is_confirmed = self._begin(verdict), verdict.sees_heading
         # One number that has passed its test is not to fail another: 1 is where it ends.
         self._consistency = verdict.chi_square / CHI_SQUARE_LIMIT
 
@@ -153,19 +179,23 @@ class ResumingAligner:
         covariance = spread(start, w_ie_n, lever, passed.half_s, self._carrier.grade)
         return replace(start, covariance=covariance)
 
-    def _is_best(self, carried: Carried) -> bool:
-        """Whether the new alignment neither contradicts the stored one nor is better."""
+    def _weigh(self, carried: Carried) -> Carried | None:
+        """The stored alignment beside a new one; None if that contradicts it, or is better."""
         new = self._aligner.propagate(self._tail)
         if new is None or new.consistency > MAX_CONSISTENCY:
-            return True
+            return carried
         P = misalignment_covariance(carried, self._carrier)
         both = P + new.misalignment_covariance
         phi = log_rotation(dcm_from_quaternion(new.q_nb) @ carried.C_nb.T)
         if not float(phi @ np.linalg.solve(both, phi)) <= AGREEMENT_LIMIT:
             angle, sigma = abs(float(phi[2])) / ARCMIN, math.sqrt(both[2, 2]) / ARCMIN
             self._dropped = CONTRADICTED.format(angle=angle, sigma=sigma)
-            return False
-        return not new.misalignment_covariance[2, 2] < P[2, 2]
+            return None
+        variance = _heading_variance(new)
+        if variance < P[2, 2]:
+            return None
+        self._is_confirmed = self._is_confirmed or variance < HEADING_SIGMA**2
+        return carried
 
     def _given_out(self, carried: Carried, stamp_ns: int) -> Estimate:
         """As an estimate; the accelerometers' bias is what is declared, nothing more is known.
@@ -189,22 +219,22 @@ class ResumingAligner:
     @property
     def estimate(self) -> Estimate | None:
         """At the last stamp of the last block."""
-        if self._carried is None:
-            return self._aligner.estimate
-        return self._given_out(self._carried, self._stamp_ns)
+        given = self._given
+        return self._aligner.estimate if given is None else self._given_out(given, self._stamp_ns)
 
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing."""
-        if self._carried is None:
+        given = self._given
+        if given is None:
             return self._aligner.propagate(block)
-        ahead = carry(self._carried, block, self._carrier)
+        ahead = carry(given, block, self._carrier)
         return self._given_out(ahead, int(block.stamp_ns[-1]))
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """The better of the stored attitude and all that the aligner proper knows."""
         new = self._aligner.conclude(block)
-        old = self.propagate(block)
-        if self._carried is None or old is None:
+        old = None if self._given is None else self.propagate(block)
+        if old is None:
             return new
         if new is None or new.consistency > MAX_CONSISTENCY:
             return old

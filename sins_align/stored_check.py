@@ -1,14 +1,9 @@
 """Whether a stored alignment is still that of the base: gravity and the Earth's rate.
 
-The gyros turn everything into b0. With the stored attitude C as the mean one over the check,
+With the stored attitude C = (I - [phi x]) C_true as the mean one over the check, `stored_motion`
+gives the rate at which the gyros drift off, and the direction of the force:
 
-    theta(t) = log(Exp(-w_ie t) C C_b0b(t) C^T)
-
-is how the base seems to turn against ENU. Its slope is what is left of the measured rate when
-the Earth's is taken off, and the force in the axes that turn along with it should point up.
-For C = (I - [phi x]) C_true
-
-    slope                  = w_ie x phi + b_gyro + noise
+    drift                  = w_ie x phi + b_gyro + noise
     (f_E, f_N) / |f|       = (-phi_N, phi_E) + b_accel / g + noise
 
 five numbers, of which the stored covariance, the declared biases, the white noise and the sway
@@ -19,9 +14,15 @@ How long: ARW sees heading to sigma = ARW / (Omega cos L sqrt T), and the bias s
 of more than sigma_b / (Omega cos L): they are equal at T = (ARW / sigma_b)^2, which is 13 s for
 the grade tactical, 9 s for rlg_parked, 36 s for fog, 100 s for rlg and 225 s for fog_noisy.
 
+A base that sways has been left at some phase of its sway. Heading is taken from the file all the
+same, with the sway of heading in its covariance; the levels are those of the check, where they
+are the better ones. Where the Earth's rate is not seen well enough, `sees_heading` is false, and
+whoever is to believe the heading needs a witness.
+
 What cannot be seen: a base that has been turned in heading by less than five sigma of that sum.
 At 40 deg of latitude and on firm ground that is 11' for rlg, 1 deg for fog, 1.5 deg for
-fog_noisy, and 40 deg for tactical, whose gyro knows no better. On a base that sways it is more.
+fog_noisy, and 40 deg for tactical, whose gyro knows no better. On a base that sways it is more, up
+to five times `HEADING_SIGMA`.
 """
 
 from __future__ import annotations
@@ -34,18 +35,19 @@ import numpy as np
 from sins_align.config import Completion
 from sins_align.earth import GRAVITY_EQUATOR, earth_rate_n
 from sins_align.grades import ImuGrade
-from sins_align.increments import integrate_windows
-from sins_align.rotation import dcm_from_quaternion, exp_rotation, log_rotation, skew3
+from sins_align.rotation import dcm_from_quaternion, exp_rotation, skew3
 from sins_align.stored import StoredAlignment
+from sins_align.stored_motion import TILT_BY_TURN, Motion, MotionRecord
 from sins_align.types import Array, ImuBlock, ImuSampling
 from sins_align.units import ARCMIN, DEG_PER_H
 
 CHECK_S = 30.0
-WINDOWS = 10  # a block of about a second: sway of up to 5 Hz is seen
 # Chi-square of 5 degrees of freedom beyond which there is one false alarm in 1e4.
 CHI_SQUARE_LIMIT, DEGREES = 25.745, 5
-# Sway is taken to be as slow as this; of a faster one less is left in a slope and a mean.
-SWAY_RATE = 2.0 * math.pi / 10.0  # [rad/s]
+# What is to be seen of heading: this, or twice what the gyro sees on firm ground [rad].
+HEADING_SIGMA = math.radians(0.5)
+# Larger tilts and heading are no longer apart: the product of two is 0.3'.
+GREATEST_TILT = math.radians(0.5)
 # No sensors are better than this.
 LEAST_RATE, LEAST_TILT = 1e-9, 1e-7  # [rad/s], [rad]
 
@@ -68,6 +70,7 @@ class Passed(NamedTuple):
     gyro_bias : (3,) with which the stored attitude stays what it is [rad/s]
     chi_square : of the check
     half_s : from the middle of the check to its end
+    sees_heading : whether the Earth's rate tells that heading is right
     """
 
     C_nb: Array
@@ -75,26 +78,7 @@ class Passed(NamedTuple):
     gyro_bias: Array
     chi_square: float
     half_s: float
-
-
-class _Motion(NamedTuple):
-    """What the sensors saw, against the stored attitude; axes east, north, up.
-
-    duration_s : of the check
-    slope : (3,) of theta [rad/s]
-    sway : (3, 3) covariance of what is left of theta [rad^2], slow_sway of its means over a second
-    tilt : (2,) direction of the force, east, north [rad]; scatter : (2, 2) covariance of its
-        means over a second [rad^2]
-    end : (3,) theta at the end, against its mean [rad]
-    """
-
-    duration_s: float
-    slope: Array
-    sway: Array
-    slow_sway: Array
-    tilt: Array
-    scatter: Array
-    end: Array
+    sees_heading: bool
 
 
 class StoredCheck:
@@ -104,8 +88,8 @@ class StoredCheck:
     ----------
     stored : the alignment to check
     grade, sampling : of the IMU
-    completion : sway of the base below its thresholds, or below the stored sigma, is taken for
-        part of the stored covariance: nobody knows at what phase of it the last run ended
+    completion : sway of heading below its threshold, or below the stored sigma, is taken for part
+        of the stored covariance: nobody knows at what phase of it the last run ended
     latitude : [rad]
     """
 
@@ -120,125 +104,87 @@ class StoredCheck:
         self._stored = stored
         self._C_nb = dcm_from_quaternion(stored.q_nb)
         self._grade = grade
-        self._sampling = sampling
         self._completion = completion
         self._w_ie_n = earth_rate_n(latitude)
-        self._elapsed_s = 0.0
-        self._C_b0b = np.eye(3)
-        self._ends_s = [0.0]
-        self._turned = [np.eye(3)]  # C_b0b at the ends of the windows
-        self._u: list[Array] = []  # of the windows, in b0
-        self._seconds = [1]  # place in `_turned` after each block
+        self._record = MotionRecord(sampling)
 
     @property
     def elapsed_s(self) -> float:
         """How much has been seen."""
-        return self._elapsed_s
+        return self._record.elapsed_s
 
     def add(self, block: ImuBlock) -> None:
         """Take in the next block."""
-        windows = integrate_windows(block, self._sampling, WINDOWS)
-        for duration, u, C in zip(windows.duration_s, windows.u, windows.C_end, strict=True):
-            self._ends_s.append(self._ends_s[-1] + float(duration))
-            self._turned.append(self._C_b0b @ C)
-            self._u.append(self._C_b0b @ u)
-        self._C_b0b = self._turned[-1]
-        self._seconds.append(len(self._turned))
-        self._elapsed_s += int(block.stamp_ns[-1] - block.stamp_ns[0]) * 1e-9
+        self._record.add(block)
 
     def judge(self) -> Passed | str:
         """The alignment to go on from, or why not."""
-        motion = self._motion()
-        sigma = np.sqrt(self._stored.misalignment_covariance.diagonal())
-        threshold = self._completion.level_threshold
-        bound = np.maximum([threshold, threshold, self._completion.heading_threshold], sigma)
+        motion = self._record.motion(self._C_nb, self._w_ie_n)
+        sigma = math.sqrt(self._stored.misalignment_covariance[2, 2])
+        heading = max(self._completion.heading_threshold, sigma)
         sway = np.sqrt(motion.sway.diagonal())
-        if not (sway <= bound).all():
+        if not (sway <= [GREATEST_TILT, GREATEST_TILT, heading]).all():
             return MOVES.format(sway=sway.max() / ARCMIN)
         P = self._stored.misalignment_covariance + motion.sway
         rate_noise, tilt_noise = self._noise(motion)
         H = skew3(self._w_ie_n)
-        tilt_of_phi = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-        J = np.vstack((tilt_of_phi, H))
+        J = np.vstack((TILT_BY_TURN, H))
         R = J @ P @ J.T
         R[:2, :2] += tilt_noise
         R[2:, 2:] += rate_noise + self._bias_variance() * np.eye(3)
-        y = np.concatenate((motion.tilt, motion.slope))
+        y = np.concatenate((motion.tilt, motion.drift))
         # Radians and radians a second, brought to sigma before they meet.
         scale = 1.0 / np.sqrt(R.diagonal())
         chi_square = float((y * scale) @ np.linalg.solve(R * np.outer(scale, scale), y * scale))
         if not chi_square <= CHI_SQUARE_LIMIT:
             return _misfit(y, R)
-        return self._pass(motion, P, rate_noise, chi_square)
+        C_nb, P = self._level(motion, P, tilt_noise)
+        passed = self._pass(motion, C_nb, P, rate_noise)
+        return passed._replace(chi_square=chi_square, sees_heading=self._sees(motion, R[2, 2]))
 
-    def _motion(self) -> _Motion:
-        C, t = self._C_nb, np.array(self._ends_s)
-        theta = np.array(
-            [
-                log_rotation(exp_rotation(-self._w_ie_n * s) @ C @ turned @ C.T)
-                for s, turned in zip(t, self._turned, strict=True)
-            ]
-        )
-        mean, centred = theta.mean(axis=0), t - t.mean()
-        slope = centred @ theta / (centred @ centred)
-        left = theta - mean - np.outer(centred, slope)
-        edges = [(a, b) for a, b in zip(self._seconds[:-1], self._seconds[1:], strict=True)]
-        slow = np.array([left[a:b].mean(axis=0) for a, b in edges])
-        forces = np.array([self._force(a, b, mean, slope, t) for a, b in edges])
-        lengths = np.array([t[b - 1] - t[a - 1] for a, b in edges])
-        force = lengths @ forces / lengths.sum()
-        tilts = forces[:, :2] / np.linalg.norm(force)
-        return _Motion(
-            duration_s=float(t[-1]),
-            slope=slope,
-            sway=left.T @ left / len(left),
-            slow_sway=slow.T @ slow / len(slow),
-            tilt=force[:2] / np.linalg.norm(force),
-            scatter=np.cov(tilts.T),
-            end=theta[-1] - mean,
-        )
+    def _sees(self, motion: Motion, variance: float) -> bool:
+        """Whether the rate about east, of that variance, tells enough of heading."""
+        firm = 1.2 * self._grade.gyro_arw**2 / motion.duration_s + 2.0 * self._bias_variance()
+        least = HEADING_SIGMA * float(self._w_ie_n[1])
+        return variance <= max(least**2, 4.0 * firm)
 
-    def _force(self, first: int, end: int, mean: Array, slope: Array, t: Array) -> Array:
-        """(3,) mean force from the windows of a block, in ENU by the stored attitude.
+    def _level(self, motion: Motion, P: Array, tilt_noise: Array) -> tuple[Array, Array]:
+        """C_nb and covariance of phi with the better levels: the stored ones, or the force's.
 
-        The sway turns C_b0b as it turns the base, and drops out.
+        The two share the accelerometers' biases and are not averaged.
         """
-        total = np.zeros(3)
-        for k in range(first, end):
-            middle = 0.5 * (t[k - 1] + t[k])
-            line = mean + slope * (middle - t.mean())
-            n = exp_rotation(-line) @ exp_rotation(-self._w_ie_n * middle) @ self._C_nb
-            total += n @ self._u[k - 1]
-        return total / (t[end - 1] - t[first - 1])
+        if tilt_noise.trace() >= P[0, 0] + P[1, 1]:
+            return self._C_nb, P
+        phi = TILT_BY_TURN.T @ motion.tilt
+        levelled = TILT_BY_TURN.T @ tilt_noise @ TILT_BY_TURN
+        levelled[2, 2] = P[2, 2]
+        return exp_rotation(phi) @ self._C_nb, levelled
 
     def _bias_variance(self) -> float:
         """Of a gyro of the declared grade [rad^2/s^2]."""
         return self._grade.gyro_bias**2 + self._grade.gyro_bias_instability**2
 
-    def _noise(self, motion: _Motion) -> tuple[Array, Array]:
-        """Covariances (3, 3) of the slope, biases apart, and (2, 2) of the tilt.
+    def _noise(self, motion: Motion) -> tuple[Array, Array]:
+        """Covariances (3, 3) of the drift, biases apart, and (2, 2) of the tilt.
 
-        White rate: 6/5 ARW^2 / T on a slope by least squares. A sway of rms q and rate w
-        leaves 12 q / (w T^2) of itself in a slope, and 2 q / (w T) in a mean.
+        White rate leaves 6/5 ARW^2 / T in a slope by least squares.
         """
         grade, T = self._grade, motion.duration_s
-        rate = motion.slow_sway * (12.0 / (SWAY_RATE * T * T)) ** 2
-        rate += (1.2 * grade.gyro_arw**2 / T + LEAST_RATE**2) * np.eye(3)
+        rate = motion.drift_noise + (1.2 * grade.gyro_arw**2 / T + LEAST_RATE**2) * np.eye(3)
         triad = math.hypot(grade.accel_scale, grade.misalignment)
         bias = (grade.accel_bias / GRAVITY_EQUATOR) ** 2 + triad**2
         white = (grade.accel_vrw / GRAVITY_EQUATOR) ** 2 / T
-        tilt = motion.scatter * (2.0 / (SWAY_RATE * T)) ** 2
-        tilt += (bias + white + LEAST_TILT**2) * np.eye(2)
+        tilt = motion.tilt_noise + (bias + white + LEAST_TILT**2) * np.eye(2)
         return rate, tilt
 
-    def _pass(self, motion: _Motion, P: Array, rate_noise: Array, chi_square: float) -> Passed:
-        """Gyro bias from the slope; phi is left alone, and considered in its covariance.
+    def _pass(self, motion: Motion, C: Array, P: Array, rate_noise: Array) -> Passed:
+        """Gyro bias from the drift; phi is left alone, and considered in its covariance.
 
         z = b + H phi + n, K = S (S + H P H^T + N)^-1 in body axes. The heading error and the
-        bias of the stored run are one error, so that a heading improved by the slope would
+        bias of the stored run are one error, so that a heading improved by the drift would
         claim what nobody knows. The bias that comes out is the one that keeps the attitude.
         """
-        C, S = self._C_nb, self._bias_variance() * np.eye(3)
+        S = self._bias_variance() * np.eye(3)
         H, N = C.T @ skew3(self._w_ie_n), C.T @ rate_noise @ C
         K = np.linalg.solve(S + H @ P @ H.T + N, S).T
         left = np.eye(3) - K
@@ -247,11 +193,11 @@ class StoredCheck:
         covariance[3:, :3] = -K @ H @ P
         covariance[:3, 3:] = covariance[3:, :3].T
         covariance[3:, 3:] = left @ S @ left.T + K @ (H @ P @ H.T + N) @ K.T
-        gyro_bias = K @ C.T @ motion.slope
+        gyro_bias = K @ C.T @ motion.drift
         half_s = 0.5 * motion.duration_s
         # The mean attitude is that of the middle, from which the bias found is a drift.
         C_nb = exp_rotation(motion.end - C @ gyro_bias * half_s) @ C
-        return Passed(C_nb, covariance, gyro_bias, chi_square, half_s)
+        return Passed(C_nb, covariance, gyro_bias, math.nan, half_s, sees_heading=False)
 
 
 def _misfit(y: Array, R: Array) -> str:

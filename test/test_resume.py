@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from evidence.monte_carlo import make_config, misalignment_of
 from sins_align.config import OdoConfig, SwingConfig
+from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.resume import AGREEMENT_LIMIT
 from sins_align.ros.result import Timing, result_document, result_text
 from sins_align.rotation import exp_rotation, quaternion_from_dcm
@@ -232,9 +233,56 @@ def test_a_gentle_sway_is_taken_for_part_of_sigma(
     estimate = session.estimate
     assert estimate is not None
     grown = estimate.misalignment_covariance - rlg[1].misalignment_covariance
-    assert np.sqrt(grown.diagonal()[:2]) == pytest.approx(sway, rel=0.1)
+    assert math.sqrt(grown[2, 2]) == pytest.approx(sway, rel=0.15)
+    level = make_config(run, {}).grade.accel_bias / GRAVITY_EQUATOR
+    assert estimate.sigma[:2] == pytest.approx(level, rel=0.2)
     phi = misalignment_of(estimate, run.truth.C_nb_at(estimate.stamp_ns))
     assert (np.abs(phi) < 4.0 * estimate.sigma).all()
+
+
+WIND = {"scenario": still(swing_deg=2.8 / 60.0), "lever_arm_m": (0.0, 0.0, 0.0)}  # 2' rms
+
+
+def test_in_the_wind_heading_is_the_stored_one_and_the_levels_are_new() -> None:
+    squares = []
+    for seed in range(VEHICLES):
+        options = replace(STILL, grade="rlg", **WIND)
+        _, stored = first_run(replace(options, seed=seed))
+        run = simulate_swing(replace(options, seed=seed + 1000, duration_s=45.0))
+        session, _ = resume(make_config(run, {}), stored, run.imu)
+        estimate = session.estimate
+        assert estimate is not None
+        before = math.sqrt(stored.misalignment_covariance[2, 2])
+        assert estimate.sigma[2] < math.hypot(before, 2.2 * ARCMIN)  # and the sway's
+        assert estimate.sigma[:2].max() < 6.0 * ARCSEC
+        phi = misalignment_of(estimate, run.truth.C_nb_at(estimate.stamp_ns))
+        squares.append(phi @ np.linalg.solve(estimate.misalignment_covariance, phi))
+    low, high = chi2.ppf([0.0005, 0.9995], 3 * VEHICLES) / VEHICLES
+    assert low < np.mean(squares) < high
+
+
+@pytest.mark.parametrize("heading_deg", [28.0, 31.5, 75.0, 210.0])
+def test_in_the_wind_a_turn_is_not_believed(
+    heading_deg: float, rlg: tuple[SwingRun, StoredAlignment]
+) -> None:
+    run = second_run(heading_deg=heading_deg, **WIND)
+    _, updates = resume(make_config(run, {}), rlg[1], run.imu)
+    for estimate in estimates_after_check(updates, int(run.imu.stamp_ns[0])):
+        phi = misalignment_of(estimate, run.truth.C_nb_at(estimate.stamp_ns))
+        assert abs(phi[2]) < 5.0 * estimate.sigma[2]
+
+
+def test_where_the_rate_is_not_seen_the_new_alignment_has_to_agree(
+    rlg: tuple[SwingRun, StoredAlignment],
+) -> None:
+    """Accelerometers that shake: neither they nor the gyros tell the drift in a sway."""
+    run = second_run(**WIND)
+    shaken = np.random.default_rng(1).normal(0.0, 0.02, run.imu.f_ib_b.shape)
+    imu = ImuSamples(run.imu.stamp_ns, run.imu.w_ib_b, run.imu.f_ib_b + shaken)
+    session, updates = resume(make_config(run, {}), rlg[1], imu)
+    assert "the new heading is not known to 0.5 deg" in session.status.reason
+    for estimate in estimates_after_check(updates, int(run.imu.stamp_ns[0])):
+        assert estimate.sigma[2] > 10.0 * ARCMIN
 
 
 def known(run: SwingRun, sigma: float, turned: Array | None = None) -> StoredAlignment:
