@@ -87,6 +87,11 @@ COMMON_PARAMETERS: tuple[Parameter, ...] = (
     ),
     Parameter("nav_frame", "map", "frame_id of the ENU frame", runtime=True),
     Parameter("result_file", "", "result.json is written here; empty: nowhere", runtime=True),
+    Parameter(
+        "initial_result_file",
+        "",
+        "a result.json to go on from, if the vehicle has not moved since; empty: none",
+    ),
     Parameter("executor", "single", "rclpy executor of the node", choices=("single", "events")),
 )
 

@@ -384,15 +384,23 @@ STORED_CHECK = Reason(
     "stored_check",
     Kind.PROGRESS,
     "checking the stored alignment ({elapsed_s:.0f} of {check_s:.0f} s)",
-    "keep the vehicle in place",
-    "Gravity and the Earth's rate are compared with initial_result_file.",
+    "keep the base still",
+    "Gravity and the Earth's rate are compared with `initial_result_file`.",
 )
-STORED_REFUSED = Reason(
-    "stored_refused",
+STORED_CONFIRM = Reason(
+    "stored_confirm",
+    Kind.PROGRESS,
+    "checking the stored alignment: the base sways, and the new heading is not known to"
+    " {sigma_deg:.1f} deg yet",
+    "keep the base still",
+    "A sway hides the Earth's rate; the new alignment has to agree first.",
+)
+STORED_DROPPED = Reason(
+    "stored_dropped",
     Kind.NOTE,
-    "the stored alignment does not fit: {why}",
-    "none is needed: the alignment goes on as if nothing had been stored",
-    "The vehicle has moved since, or moves. Said until there is an estimate.",
+    "the stored alignment is dropped: {why}",
+    "clear initial_result_file once the base has been moved",
+    "It does not fit, or the base moves. The alignment goes on as if nothing had been stored.",
 )
 
 REASONS: tuple[Reason, ...] = tuple(v for v in list(globals().values()) if isinstance(v, Reason))

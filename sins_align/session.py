@@ -34,6 +34,7 @@ from sins_align.reasons import (
     SLOW_IMU,
     Finding,
 )
+from sins_align.resume import ResumingAidedAligner, ResumingAligner
 from sins_align.stamp_watch import StampWatch
 from sins_align.status import Completer, Declared, Expectation
 from sins_align.swing import make_aligner
@@ -88,6 +89,7 @@ class Session:
         self._counts = InputCounts()
         self._odometer_intake = OdometerIntake(self._counts)
         self._restarts = 0
+        self._initial = config.initial
         self._begin("")
 
     def _begin(self, reason: str, at_ns: int | None = None) -> None:
@@ -108,8 +110,15 @@ class Session:
             return
         if isinstance(self._config, SwingConfig):
             self._aligner = make_aligner(self._config, self._position)
+            if self._initial is not None:
+                self._aligner = ResumingAligner(
+                    self._aligner, self._config, self._position, self._initial
+                )
             return
-        self._aligner = self._aided = make_odo_aligner(self._config, self._position)
+        aided = make_odo_aligner(self._config, self._position)
+        if self._initial is not None:
+            aided = ResumingAidedAligner(aided, self._config, self._position, self._initial)
+        self._aligner = self._aided = aided
         # The odometer may be ahead of the IMU. From a fixed time on: what comes of it must not
         # depend on what else is still kept.
         recent = self._odometer_intake.recent()
@@ -212,6 +221,7 @@ class Session:
 
     def _restart(self, reason: str, at_ns: int | None = None) -> None:
         self._restarts += 1
+        self._initial = None  # nobody has seen whether the base has moved meanwhile
         self._begin(reason, at_ns)
 
     def add_imu(self, samples: ImuSamples) -> list[Update]:
@@ -293,6 +303,7 @@ class Session:
     def _fail(self, stamp_ns: int, fault: Finding) -> list[Update]:
         """The block is of no use; the alignment begins anew with the first one that is."""
         elapsed = self._intake.elapsed_s(stamp_ns)
+        self._initial = None
         self._make_aligner(stamp_ns)
         self._completer = self._make_completer()
         self._status = Status(State.FAILED, (fault,), elapsed)

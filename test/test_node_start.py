@@ -43,6 +43,7 @@ def wait_until_up(observer: Observer) -> None:
         (SWING, "lever_arm_prior_m:=[1.0, 2.0]", ["lever_arm_prior_m", "3"]),
         (SWING, "holds_s:=3.0", ["holds_s", "unknown"]),
         (SWING, "result_file:=/dev/null/result.json", ["/dev/null/result.json"]),
+        (SWING, "initial_result_file:=/dev/null", ["initial_result_file", "/dev/null", "JSON"]),
         (SYNTH, "truth_file:=/dev/null/truth.json", ["/dev/null/truth.json"]),
         (SYNTH, "scenario:=storm", ["scenario", "storm", "still"]),
         (SYNTH, "jitter_s:=0.5", ["stamp_jitter_s"]),

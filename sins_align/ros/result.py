@@ -12,10 +12,9 @@ import numpy as np
 
 from sins_align.ros.whole_file import write_text_whole
 from sins_align.session import Session
+from sins_align.stored import SCHEMA
 from sins_align.types import Array, Estimate, InputCounts, OdometerEstimate, State
 from sins_align.units import ARCMIN, DEG
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True)
