@@ -299,6 +299,15 @@ INCONSISTENT = Reason(
     "keep to what the settings say: check imu_grade, imu_sampling, the latitude and the odometer",
     "The mean normalised innovation squared is beyond its bound. Ends when it is inside.",
 )
+UNPROVEN = Reason(
+    "unproven",
+    Kind.PROGRESS,
+    "there are too few solutions yet to see whether the attitude stays",
+    "",
+    "Ends within the first minute: a claim needs four changes from solution to solution that are"
+    " no larger than they should be.",
+    "swing",
+)
 UNSTEADY = Reason(
     "unsteady",
     Kind.DOUBT,

@@ -227,6 +227,10 @@ class ResumingAligner:
             return 0.0
         return self._aligner.foresee(heading)
 
+    def next_step(self, ahead_s: float) -> float:
+        """See `Aligner`: every block is a step while the stored attitude is given out."""
+        return ahead_s if self._given is not None else self._aligner.next_step(ahead_s)
+
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """The better of the stored attitude and all that the aligner proper knows."""
         new = self._aligner.conclude(block)

@@ -31,6 +31,7 @@ from sins_align.reasons import (
     LATITUDE_WRONG,
     LEVEL_LIMIT,
     LEVEL_SIGMA,
+    UNPROVEN,
     UNSTEADY,
     WITNESS_DIFFERS,
     Finding,
@@ -221,8 +222,11 @@ class Completer:
         doubts = []
         if estimate.consistency > self._widened(MAX_CONSISTENCY):
             doubts.append(INCONSISTENT(ratio=estimate.consistency))
-        if estimate.steadiness > self._widened(MAX_UNSTEADINESS):
-            doubts.append(UNSTEADY(ratio=math.sqrt(estimate.steadiness)))
+        steadiness = estimate.steadiness
+        if steadiness is not None and math.isnan(steadiness):
+            doubts.append(UNPROVEN())
+        elif steadiness is not None and steadiness > self._widened(MAX_UNSTEADINESS):
+            doubts.append(UNSTEADY(ratio=math.sqrt(steadiness)))
         witness = estimate.witness
         if witness is not None and not witness.square <= self._widened(MAX_DISAGREEMENT):
             heading, ratio = abs(float(witness.phi[2])) / ARCMIN, math.sqrt(witness.square)

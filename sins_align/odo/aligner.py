@@ -266,6 +266,10 @@ class OdoAligner:
             return 0.0
         return math.nan
 
+    def next_step(self, ahead_s: float) -> float:
+        """See `Aligner`: steps are a second or two apart."""
+        return ahead_s
+
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside."""
         return None if self._estimate is None else self._estimate_at(int(block.stamp_ns[-1]), block)

@@ -96,3 +96,7 @@ class GuardedAligner:
     def foresee(self, heading: float) -> float:
         """See `Aligner`."""
         return math.nan if self._aligner is None else self._aligner.foresee(heading)
+
+    def next_step(self, ahead_s: float) -> float:
+        """See `Aligner`."""
+        return ahead_s if self._aligner is None else self._aligner.next_step(ahead_s)

@@ -17,7 +17,7 @@ from sins_align.swing.solution import KAPPA, Solution
 from sins_align.types import Array
 
 # Solutions of the first seconds are not linear enough.
-FIRST_S = 30.0
+FIRST_S = 20.0
 MEMORY = 8  # changes
 LEAST_COUNT = 4
 # What rounding and what is left of Gauss-Newton may add, of the variance.
@@ -25,10 +25,13 @@ FLOOR = 1e-3
 
 
 class Steadiness:
-    """Mean normalised square of the attitude's changes, three degrees of freedom."""
+    """Mean normalised squares of the attitude's changes: of all of it, and of heading alone.
+
+    Gyro noise shows in heading long before it does in the levels.
+    """
 
     def __init__(self) -> None:
-        self._mean = 0.0
+        self._means = np.zeros(2)
         self._count = 0
 
     def add(self, before: Solution, after: Solution, time_s: float) -> None:
@@ -40,11 +43,12 @@ class Steadiness:
         if np.linalg.eigvalsh(S)[0] <= 0.0:  # something else was estimated before
             return
         change = log_rotation(after.R @ before.R.T)
-        square = float(change @ np.linalg.solve(S, change)) / 3.0
+        up = after.R[:, 2]
+        squares = (change @ np.linalg.solve(S, change) / 3.0, (up @ change) ** 2 / (up @ S @ up))
         self._count += 1
-        self._mean += (square - self._mean) / min(self._count, MEMORY)
+        self._means += (squares - self._means) / min(self._count, MEMORY)
 
     @property
     def value(self) -> float:
-        """The mean square over its expectation; NaN before there are enough changes."""
-        return self._mean if self._count >= LEAST_COUNT else math.nan
+        """The larger mean square over its expectation; NaN before there are enough changes."""
+        return float(self._means.max()) if self._count >= LEAST_COUNT else math.nan
