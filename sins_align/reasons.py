@@ -302,16 +302,16 @@ INCONSISTENT = Reason(
 UNPROVEN = Reason(
     "unproven",
     Kind.PROGRESS,
-    "there are too few solutions yet to see whether the attitude stays",
+    "there are too few solutions yet to see whether heading stays",
     "",
-    "Ends within the first minute: a claim needs four changes from solution to solution that are"
-    " no larger than they should be.",
+    "Ends within half a minute: a claim needs five changes of heading from solution to solution"
+    " that are no larger than they should be.",
     "swing",
 )
 UNSTEADY = Reason(
     "unsteady",
     Kind.DOUBT,
-    "the attitude changes from solution to solution by {ratio:.1f} times what its sigma allows:"
+    "heading changes from solution to solution by {ratio:.1f} times what its sigma allows:"
     " gyro noise above the declared grade, or a base that creeps",
     "check imu_grade (gyro_arw_deg_sqrt_h) and imu_sampling; keep the vehicle on firm ground",
     "Ends when the last changes are what they should be.",

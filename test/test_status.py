@@ -18,7 +18,7 @@ from sins_align.reasons import (
     GYRO_IN_DEGREES,
     LEVELLING,
     REASONS,
-    STORED_REFUSED,
+    STORED_DROPPED,
     SWING_WEAK,
     UNOBSERVABLE_HERE,
     Finding,
@@ -451,7 +451,7 @@ def test_a_hint_is_given_only_while_something_is_missing() -> None:
 
 
 def test_a_note_is_given_beside_aligned() -> None:
-    note = STORED_REFUSED(why="gravity has turned")
+    note = STORED_DROPPED(why="gravity has turned")
     status = status_of(estimate(), findings=(note,))
     assert (status.state, status.findings) == (State.ALIGNED, (note,))
     assert "gravity has turned" in status.reason
