@@ -304,17 +304,17 @@ UNPROVEN = Reason(
     Kind.PROGRESS,
     "there are too few solutions yet to see whether heading stays",
     "",
-    "Ends within half a minute: a claim needs five changes of heading from solution to solution"
-    " that are no larger than they should be.",
+    "Ends within half a minute: a claim needs four earlier headings from which this one differs by"
+    " no more than it should.",
     "swing",
 )
 UNSTEADY = Reason(
     "unsteady",
     Kind.DOUBT,
-    "heading changes from solution to solution by {ratio:.1f} times what its sigma allows:"
+    "heading has changed by {ratio:.1f} times the sigma of what new data may change:"
     " gyro noise above the declared grade, or a base that creeps",
     "check imu_grade (gyro_arw_deg_sqrt_h) and imu_sampling; keep the vehicle on firm ground",
-    "Ends when the last changes are what they should be.",
+    "Ends when heading is where it was before, as far as its sigma tells; or restart.",
     "swing",
 )
 STAMP_JITTER = Reason(

@@ -28,6 +28,7 @@ from sins_align.reasons import (
     LEVELLING,
     NO_IMU,
     NO_POSITION,
+    VEHICLE_MOVES,
     Finding,
 )
 from sins_align.resume import ResumingAidedAligner, ResumingAligner
@@ -52,6 +53,7 @@ from sins_align.units_watch import UnitsWatch
 
 # How far back an odometer's samples are of use to an alignment that begins [ns].
 KEPT_NS = 5_000_000_000
+HAD_MOVED = "the vehicle had moved"
 TURN_BASE = "turn the base by 90 deg or more"
 
 
@@ -88,7 +90,7 @@ class Session:
         self._completer = self._make_completer()
         self._units = UnitsWatch(self._config.sampling)
         self._stamps = StampWatch(self._config.grade.gyro_arw)
-        self._begin_reason = reason
+        self._begin_reason, self._moves = reason, False
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
 
@@ -283,11 +285,20 @@ class Session:
                 broke = ESTIMATE_BROKE(cause="it is not finite")
                 return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
+            self._note_motion(step)
             more = [f for f in (self._units.hint, self._stamps.finding) if f is not None]
             step = step._replace(findings=(*step.findings, *more))
             self._status = self._completer.update(step, elapsed, self._begin_reason)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates
+
+    def _note_motion(self, step: Advance) -> None:
+        """Count the start after a drive: the aligner has begun anew by itself."""
+        moves = any(f.reason is VEHICLE_MOVES for f in step.findings)
+        if self._moves and not moves:
+            self._restarts += 1
+            self._begin_reason = HAD_MOVED
+        self._moves = moves
 
     def _fail(self, stamp_ns: int, fault: Finding) -> list[Update]:
         """The block is of no use; the alignment begins anew with the first one that is."""

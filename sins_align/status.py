@@ -52,8 +52,8 @@ MAX_CONSISTENCY = 2.0
 # Two estimates from the same data may differ by less than independent ones would: normalised square
 # of the difference over its expectation for such.
 MAX_DISAGREEMENT = 1.0
-# Changes of the attitude from one solution to the next, as `consistency`.
-MAX_UNSTEADINESS = 4.0
+# Largest square of a change of heading over its variance, of some that are not independent.
+MAX_UNSTEADINESS = 12.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
 

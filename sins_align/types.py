@@ -160,8 +160,8 @@ class Estimate:
     consistency : mean normalised innovation squared over its expected value, of late: above 1
         the data are worse than declared, below 1 better; NaN before there is an innovation
     witness : another estimate from the same data, where there is one
-    steadiness : mean square of heading's changes from solution to solution over what its
-        covariance allows; NaN before there are enough, None where the method has none
+    steadiness : largest square of a change of heading from an earlier solution to this one, over
+        its variance; NaN before there are enough, None where the method has none
     latitude : as the data tell it, None where they do not
     """
 

@@ -99,7 +99,9 @@ def test_the_time_to_go() -> None:
     for second in (20, 25, 30):
         assert seen[second] + second == pytest.approx(aligned_at_s, rel=0.2)
     assert seen[30] < seen[25] < seen[20]
-    assert 0.0 < seen[math.ceil(below[0]) + 1] <= 5.0
+    # Below: what is left is the hold, to the end of a cycle, and known to the second.
+    soon = math.ceil(below[0]) + 1
+    assert seen[soon] + soon == pytest.approx(aligned_at_s, abs=1.5)
     assert seen[89] == 0.0
 
 
@@ -131,12 +133,12 @@ def test_other_thresholds_lose_nothing() -> None:
     """From the next step on, and as if they had been there before."""
     wide, narrow = laser_config(heading_threshold_arcmin=1000.0), laser_config()
     session = Session(narrow)
-    before = session.add_imu(laser().select(slice(0, 1001)))
+    before = session.add_imu(laser().select(slice(0, 1451)))
     assert before[-1].status.state is State.FINE and "heading_sigma" in before[-1].status.keys
     session.set_completion(wide.completion)
     assert session.config.completion == wide.completion
     assert session.eta_s < 10.0
-    after = session.add_imu(laser().select(slice(1001, None)))
+    after = session.add_imu(laser().select(slice(1451, None)))
     expected, updates = run(laser(), narrow)
     assert [numbers(u.estimate) for u in (*before, *after)] == [
         numbers(u.estimate) for u in updates
@@ -178,7 +180,6 @@ def test_a_wrong_latitude(check: str, state: State) -> None:
     for name, key in keys.items():
         assert (key in session.status.keys) == (check == name)
     estimate = session.estimate
-    assert estimate is not None and (estimate.latitude is None) == (check == "off")
-    if estimate.latitude is not None:
-        assert abs(estimate.latitude.latitude / DEG - 40.0) < 0.5
+    assert estimate is not None and estimate.latitude is not None
+    assert abs(estimate.latitude.latitude / DEG - 40.0) < 0.5
     assert session.status.state is state

@@ -378,12 +378,14 @@ def test_innovations_that_do_not_fit_are_not_aligned() -> None:
 
 
 def test_an_attitude_that_changes_too_much_is_not_aligned() -> None:
-    """The mean square is 9 times what it should be, the attitude changes by 3 times that."""
-    status = status_of(having(steadiness=9.0))
+    """Heading has changed by 4 sigma of what it may."""
+    assert status_of(having(steadiness=11.9)).state is State.ALIGNED
+    status = status_of(having(steadiness=16.0))
     assert (status.state, status.keys) == (State.FINE, ("unsteady",))
-    assert "by 3.0 times what its sigma allows" in status.reason
+    assert "changed by 4.0 times the sigma" in status.reason
     assert "gyro_arw_deg_sqrt_h" in status.remedy
-    assert status_of(having(steadiness=math.nan)).state is State.ALIGNED
+    assert status_of(having(steadiness=math.nan)).keys == ("unproven",)
+    assert status_of(having(steadiness=None)).state is State.ALIGNED
 
 
 def test_a_bias_beyond_the_declared_one_is_not_aligned() -> None:
@@ -456,7 +458,7 @@ def test_a_note_is_given_beside_aligned() -> None:
     assert (status.state, status.findings) == (State.ALIGNED, (note,))
     assert "gravity has turned" in status.reason
     both = status_of(estimate(heading=2.0 * HEADING), findings=(note,))
-    assert both.keys == ("heading_sigma", "stored_refused")
+    assert both.keys == ("heading_sigma", "stored_dropped")
 
 
 def test_a_fault_beside_an_estimate_is_failed() -> None:

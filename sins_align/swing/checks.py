@@ -45,9 +45,9 @@ class Checks:
         """Take in the epochs that are new."""
         self._fit.update(epochs)
 
-    def note_change(self, before: Solution, after: Solution, time_s: float) -> None:
-        """Take in two solutions that follow each other, in one linearisation."""
-        self._steadiness.add(before, after, time_s)
+    def note(self, solution: Solution, time_s: float) -> None:
+        """Take in the solution of all data so far."""
+        self._steadiness.add(solution, time_s)
 
     def report(
         self,

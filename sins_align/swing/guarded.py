@@ -6,13 +6,12 @@ import math
 from collections.abc import Callable
 
 from sins_align.earth import earth_rate_n
-from sins_align.reasons import BEGAN_ANEW, VEHICLE_MOVES, Finding
+from sins_align.reasons import VEHICLE_MOVES
 from sins_align.swing.motion import STILL, MotionWatch
 from sins_align.types import Advance, Aligner, Estimate, ImuBlock, ImuSampling, Position
 
 # A heading so old and so good is right enough for the Earth's axis [s], [rad].
 BELIEVED_S, BELIEVED_SIGMA = 45.0, 0.35
-CAUSE = "the vehicle had moved"
 
 
 class GuardedAligner:
@@ -34,7 +33,6 @@ class GuardedAligner:
         self._make = make
         self._earth_rate_n = earth_rate_n(position.latitude)
         self._sampling = sampling
-        self._anew: tuple[Finding, ...] = ()
         self._begin()
 
     def _begin(self) -> None:
@@ -57,16 +55,11 @@ class GuardedAligner:
             # nothing of when it is still again: the new start will see.
             self._aligner = None
             return self._wait(stamp_ns, not self._watch.knows_axes)
-        steps = self._aligner.update(block)
-        return [
-            step._replace(findings=(*step.findings, *self._anew)) if step.estimate is None else step
-            for step in steps
-        ]
+        return self._aligner.update(block)
 
     def _wait(self, stamp_ns: int, is_still: bool) -> list[Advance]:
         moved = VEHICLE_MOVES(moved_m=self._watch.moved_m, still_s=STILL)
         if is_still:
-            self._anew = (BEGAN_ANEW(cause=CAUSE),)
             self._begin()
         return [Advance(stamp_ns, None, (moved,))]
 

@@ -189,10 +189,10 @@ class InertialAligner:
             self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
             self._refresh()
         elif self._solution is not None:
-            before = self._solution
             self._advance()
-            self._solution = self._solver().solve(self._filter.normal, before)
-            self._checks.note_change(before, self._solution, now)
+            self._solution = self._solver().solve(self._filter.normal, self._solution)
+        if self._solution is not None:
+            self._checks.note(self._solution, now)
         self._estimate = self._estimate_now()
 
     @property
