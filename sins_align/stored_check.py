@@ -21,8 +21,8 @@ whoever is to believe the heading needs a witness.
 
 What cannot be seen: a base that has been turned in heading by less than five sigma of that sum.
 At 40 deg of latitude and on firm ground that is 11' for rlg, 1 deg for fog, 1.5 deg for
-fog_noisy, and 40 deg for tactical, whose gyro knows no better. On a base that sways it is more, up
-to five times `HEADING_SIGMA`.
+fog_noisy, and 40 deg for tactical, whose gyro knows no better. On a base that sways it is more, but
+no more than that or five times `HEADING_SIGMA`, where the witness takes over.
 """
 
 from __future__ import annotations

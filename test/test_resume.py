@@ -293,6 +293,16 @@ def known(run: SwingRun, sigma: float, turned: Array | None = None) -> StoredAli
     return StoredAlignment(quaternion_from_dcm(C_nb), np.diag([ARCSEC**2, ARCSEC**2, sigma**2]))
 
 
+def test_a_slow_tilt_is_not_taken_for_a_rate_of_the_gyros() -> None:
+    """Up to 4 deg/h about a level axis for all of the check, which the force does not show."""
+    slow = ThreeAxisSwing("slow", (0.0, 0.0, 0.0), (0.0, 1.0 / 6.0, 0.0), (0.1, 0.001, 0.1))
+    for seed in range(1000, 1006):
+        options = replace(STILL, grade="rlg", seed=seed, duration_s=40.0, scenario=slow)
+        run = simulate_swing(replace(options, lever_arm_m=(0.0, 0.0, 0.0)))
+        session, _ = resume(make_config(run, {}), known(run, ARCMIN), run.imu)
+        assert "does not fit" not in session.status.reason
+
+
 def test_the_stored_attitude_is_the_mean_of_the_sway_and_follows_it() -> None:
     perfect = replace(STILL, grade="perfect", duration_s=60.0, lever_arm_m=(0.0, 0.0, 0.0))
     stored = known(simulate_swing(perfect), ARCMIN)
