@@ -19,6 +19,9 @@ from sins_align.units import ARCMIN
 # Runs for each of the seeds asked for: 720 and 540 of 30.
 SWING_RUNS, ODO_RUNS = 24, 18
 MOST_FALSE = 0.003
+# The settings say other than the sensors do. What a gyro's bias does to a base that does not turn
+# no estimate can tell from heading.
+MISDECLARED = ("gyro bias", "gyro noise", "imu_sampling")
 LEAST_ETA = 0.8
 # Two-sided, of a mean normalised square over many runs.
 CONFIDENCE = 0.99
@@ -62,15 +65,28 @@ def _false_case(records: Sequence[Record]) -> Case:
         groups[node] = own
         groups[f"{node}, clean"] = [r for r in own if not r.faults]
         groups[f"{node}, faulty"] = [r for r in own if r.faults]
+        groups[f"{node}, declared"] = [r for r in own if is_declared(r)]
+    declared = groups["declared"] = [r for r in records if is_declared(r)]
     gaussian = 100.0 * math.erfc(FALSE_RATIO / math.sqrt(2.0))
     lines = [f"      beyond {FALSE_RATIO:g} sigma at any one moment, Gaussian: {gaussian:.2f} %"]
     lines += [_counts(name, own) for name, own in groups.items() if own]
     lines += _by_fault(records)
     false = [r for r in records if r.is_false]
     lines += [describe(r) for r in sorted(false, key=lambda r: (r.node, bool(r.faults)))]
-    share = len(false) / len(records)
-    check = upper("share of runs with a false claim [%]", 100.0 * share, 100.0 * MOST_FALSE)
-    return Case("false claims", len(records), lines, [check])
+    checks = []
+    for name, own in (("all", records), ("sensors as declared", declared)):
+        for when, count in (
+            ("at any time", sum(r.is_false for r in own)),
+            ("at the first claim", sum(r.is_false_at_first for r in own)),
+        ):
+            share = 100.0 * count / len(own)
+            checks.append(upper(f"false claims {when}, {name} [%]", share, 100.0 * MOST_FALSE))
+    return Case("false claims", len(records), lines, checks)
+
+
+def is_declared(record: Record) -> bool:
+    """Whether the settings say what the sensors are."""
+    return not any(fault.partition(":")[0] in MISDECLARED for fault in record.faults)
 
 
 def _counts(name: str, records: Sequence[Record]) -> str:
