@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
@@ -38,6 +40,12 @@ class ParameterNode(Node):
         self.values: dict[str, Any] = declare_parameters(self, self._table)
         _check_result_file(self.values)  # known now, not when the alignment is done
         self.add_post_set_parameters_callback(self._take_over)
+
+    def get_logger(self) -> RcutilsLogger:
+        """Once ROS is down, one that leaves /rosout alone, where nothing can be published."""
+        if self.context.ok():
+            return super().get_logger()
+        return get_logger(f"{super().get_logger().name}.end")
 
     def set_parameters_atomically(self, changes: list[RosParameter]) -> SetParametersResult:
         """Set all of them or none; what cannot be is refused in the words of the table.

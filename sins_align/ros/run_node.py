@@ -29,10 +29,18 @@ _UNUSABLE = (
 def run_node(
     name: str,
     make_node: Callable[[], N],
-    work: Callable[[N], None],
+    prepare: Callable[[N], Callable[[], None]],
     args: Sequence[str] | None = None,
 ) -> int:
     """Make a node and let it work until it is done, or until SIGINT, SIGTERM or a shutdown.
+
+    Parameters
+    ----------
+    name : before an error
+    make_node : called with ROS up
+    prepare : makes of the node the work to do. A signal waits for both, for neither a node
+        nor an executor can be made once ROS is down.
+    args : None: those of the process
 
     Returns
     -------
@@ -40,19 +48,21 @@ def run_node(
     work that ended with an OSError, a TimeoutError among them; each with one line on standard
     error
     """
-    # rclpy shuts ROS down at the signal and then calls the handler it found. Python's own
-    # would raise in the middle of whatever is going on, a half-taken sample included.
+    # At the signal a thread of rclpy's shuts ROS down, at any moment; the handler that it found
+    # is called too. Python's own would raise in the middle of whatever is going on, a half-taken
+    # sample included.
     for number in SIGNALS:
         signal.signal(number, lambda *_: None)
     try:
-        with signals_held():  # until there is a node that can end well
+        with signals_held():
             rclpy.init(args=None if args is None else list(args))
             node = make_node()
+            work = prepare(node)
     except _UNUSABLE as error:
         rclpy.try_shutdown()
         return _fail(name, error, 2)
     try:
-        work(node)
+        work()
     except ExternalShutdownException:
         pass
     except OSError as error:
@@ -69,12 +79,18 @@ def run_node(
     return 0
 
 
-def spin_aligner(node: AlignNode) -> None:
-    """Spin until ROS is shut down, then let the node finish."""
-    try:
-        _spin(node, node.executor_kind)
-    finally:
-        node.finish()
+def prepare_aligner(node: AlignNode) -> Callable[[], None]:
+    """What spins the node until ROS is shut down, and then lets it finish."""
+    executor = _make_executor(node.executor_kind)
+    executor.add_node(node)
+
+    def spin() -> None:
+        try:
+            _spin(executor, node.executor_kind)
+        finally:
+            node.finish()
+
+    return spin
 
 
 def _fail(name: str, error: Exception, status: int) -> int:
@@ -93,12 +109,7 @@ def _make_executor(kind: str) -> Any:
     return EventsExecutor()
 
 
-def _spin(node: Node, kind: str) -> None:
-    with signals_held():  # none can be made once ROS is down
-        if not rclpy.ok():
-            return
-        executor = _make_executor(kind)
-    executor.add_node(node)
+def _spin(executor: Any, kind: str) -> None:
     if kind == "single":
         executor.spin()
         return

@@ -226,7 +226,7 @@ class SynthNode(Node):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; returns its exit status."""
-    return run_node(NAME, SynthNode, SynthNode.play, args)
+    return run_node(NAME, SynthNode, lambda node: node.play, args)
 
 
 if __name__ == "__main__":
