@@ -12,11 +12,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rclpy
+from builtin_interfaces.msg import Time
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Imu, NavSatFix
+from std_msgs.msg import Bool
+
+from sins_align.ros.bags_topics import odometer_type
+from sins_align.ros.cdr import encode_imu
+from sins_align.ros.messages import fix_message
+from sins_align.ros.odometer import OdometerRow, odometer_rows
+from sins_align.ros.portable_messages import odometer_message, ros_types
+from sins_align.types import ImuSamples, OdometerSamples, Position
 
 ROOT = Path(__file__).resolve().parent.parent
 SWING = "swing_align_ros.node"
@@ -130,3 +141,106 @@ def observing() -> Iterator[Observer]:
         yield observer
     finally:
         observer.close()
+
+
+class Player:
+    """Publishes samples from this process, as fast as the node takes them and no faster.
+
+    The node's `~/processed` tells how far it has come. No more than WINDOW samples are under
+    way: a best-effort subscription then loses none.
+
+    Parameters
+    ----------
+    node : name of the node that takes them, with its namespace
+    odom_type : the odometer's message type, None: no odometer
+    position : sent on /fix with the first sample of every `play`; None: no fix
+    """
+
+    WINDOW = 100
+
+    def __init__(
+        self,
+        observer: Observer,
+        node: str = "swing_align",
+        imu_topic: str = "/imu",
+        odom_topic: str = "/odom",
+        odom_type: str | None = None,
+        position: Position | None = None,
+    ) -> None:
+        self._observer = observer
+        self._imu = observer.node.create_publisher(Imu, imu_topic, 2000)
+        self._publishers = [self._imu]
+        self._rows: list[OdometerRow] = []
+        self._position = position
+        if odom_type is not None:
+            self._odom_type = odometer_type(odom_type)
+            self._odom = observer.node.create_publisher(ros_types(self._odom_type), odom_topic, 200)
+            self._publishers.append(self._odom)
+        if position is not None:
+            self._fix = observer.node.create_publisher(NavSatFix, "/fix", 10)
+            self._publishers.append(self._fix)
+        # Not latched: what was taken before is of no interest here.
+        self._taken: list[Time] = []
+        observer.node.create_subscription(Time, f"/{node}/processed", self._taken.append, RELIABLE)
+        # That the publishers know of the node does not say that it knows of them. This one is
+        # announced after them: with an answer on it the node has seen them too.
+        known: list[Bool] = []
+        observer.node.create_subscription(Bool, f"/{node}/aligned", known.append, LATCHED)
+        observer.wait(lambda: known and self._connected(), f"the inputs of {node}")
+
+    def _connected(self) -> bool:
+        return all(publisher.get_subscription_count() for publisher in self._publishers)
+
+    def play(
+        self, imu: ImuSamples, odometer: OdometerSamples | None = None, lead: int = 50
+    ) -> None:
+        """Publish all of it; returns when the node has taken the last sample of the IMU.
+
+        Call it again for what comes next, also where that begins at an earlier time.
+
+        Parameters
+        ----------
+        imu : in the order of publication, whatever the stamps are
+        odometer : by stamp
+        lead : how many samples of the IMU the odometer is ahead; negative: behind
+        """
+        stamps = imu.stamp_ns.tolist()
+        payloads = [bytes(payload) for payload in encode_imu(imu, "imu")]
+        self._rows = [] if odometer is None else odometer_rows(odometer)
+        if self._position is not None:
+            self._fix.publish(fix_message(stamps[0], self._position, "gnss"))
+        taken = sent = 0
+        while taken < len(stamps):
+            end = min(taken + self.WINDOW, len(stamps))
+            for k in range(sent, end):
+                if 0 <= k + lead < len(stamps):
+                    self._publish_odometer(stamps[k + lead])
+                self._imu.publish(payloads[k])
+            sent = max(sent, end)
+            if sent == len(stamps):
+                self._publish_odometer(np.iinfo(np.int64).max)
+            self._observer.wait(lambda: self._taken, "the node to take samples")
+            processed, self._taken[:] = self._taken[-1], []
+            stamp = processed.sec * 1_000_000_000 + processed.nanosec
+            # Of what is under way: elsewhere the same stamp may stand for another sample.
+            under_way = [k + 1 for k in range(taken, sent) if stamps[k] == stamp]
+            taken = max(under_way, default=taken)
+
+    def _publish_odometer(self, until_ns: int) -> None:
+        while self._rows and self._rows[0].stamp_ns <= until_ns:
+            row = self._rows.pop(0)
+            self._odom.publish(odometer_message(ros_types, self._odom_type, row, "base_link"))
+
+
+def play(
+    observer: Observer,
+    imu: ImuSamples,
+    odometer: OdometerSamples | None = None,
+    node: str = "swing_align",
+    imu_topic: str = "/imu",
+    odom_topic: str = "/odom",
+    position: Position | None = None,
+) -> None:
+    """`Player` for one go; an odometer goes out as TwistStamped."""
+    odom_type = None if odometer is None else "TwistStamped"
+    Player(observer, node, imu_topic, odom_topic, odom_type, position).play(imu, odometer)

@@ -1,0 +1,121 @@
+"""Time that jumps: bags that are played in a loop, and a /clock that stands or goes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from node_harness import (
+    LATCHED,
+    ODO,
+    RELIABLE,
+    SWING,
+    Observer,
+    Player,
+    arguments,
+    diagnostic_values,
+    observing,
+    running,
+    stamp_ns,
+)
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Bool
+
+from sins_align.simulate import SwingOptions, VehicleOptions, simulate_swing, simulate_vehicle
+from sins_align.types import ImuSamples
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+THRESHOLDS = {"heading_threshold_arcmin": 90.0, "level_threshold_arcsec": 300.0, "hold_s": 2.0}
+RATE_HZ = 10
+
+
+def listen(observer: Observer, node: str) -> None:
+    observer.listen(Imu, f"/{node}/attitude", RELIABLE)
+    observer.listen(Bool, f"/{node}/aligned", LATCHED)
+    observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+
+
+def stamps_of(observer: Observer, node: str) -> np.ndarray:
+    return np.array([stamp_ns(message) for message in observer.received[f"/{node}/attitude"]])
+
+
+def values(observer: Observer) -> dict[str, str]:
+    seen = observer.received["/diagnostics"]
+    return diagnostic_values(seen[-1]) if seen else {}
+
+
+def state(observer: Observer) -> str:
+    return values(observer).get("state", "")
+
+
+def check_second_pass(observer: Observer, node: str, log: Path, imu: ImuSamples) -> None:
+    """What must have come of two passes over the same samples."""
+
+    def aligned() -> list[bool]:
+        return [message.data for message in observer.received[f"/{node}/aligned"]]
+
+    last_ns = int(imu.stamp_ns[-1])
+    observer.wait(lambda: aligned() == [False, True, False, True], "aligned, twice")
+    observer.wait(lambda: (stamps_of(observer, node) == last_ns).sum() == 2, "the last attitude")
+    stamps = stamps_of(observer, node)
+    (jump,) = np.nonzero(np.diff(stamps) < 0)[0]
+    first, second = stamps[: jump + 1], stamps[jump + 1 :]
+    # Nothing of the old time after the jump, and the second pass gives what the first one gave.
+    period = 1_000_000_000 // RATE_HZ
+    for part in (first, second):
+        assert (np.diff(part) == period).all()
+    assert first[-1] == second[-1] == last_ns
+    assert abs(first[0] - second[0]) <= 1_000_000_000
+    text = log.read_text()
+    assert text.count("the alignment began anew: the IMU's stamps jumped back by ") == 1
+    assert "Traceback" not in text
+    # Counted are those before it was clear that time had jumped.
+    observer.wait(lambda: values(observer)["imu_rejected"] != "0", "the count of what was refused")
+    assert int(values(observer)["imu_rejected"]) < 0.01 * len(imu)
+
+
+def test_a_looped_bag_begins_the_swing_alignment_anew(tmp_path: Path) -> None:
+    imu = simulate_swing(
+        SwingOptions(scenario="pitch", grade="perfect", rate_hz=50.0, duration_s=30.0, seed=1)
+    ).imu
+    parameters = {
+        **THRESHOLDS, "latitude_deg": 40.0, "imu_grade": "perfect", "publish_rate_hz": RATE_HZ
+    }  # fmt: skip
+    log = tmp_path / "log"
+    with observing() as observer, running(SWING, *arguments(parameters), log=log):
+        listen(observer, "swing_align")
+        player = Player(observer)
+        player.play(imu)
+        observer.wait(lambda: state(observer) == "aligned", "the first alignment")
+        player.play(imu.select(slice(0, 300)))
+        observer.wait(lambda: state(observer) == "coarse", "the state coarse")
+        assert "stamps jumped back by 30.0 s" in values(observer)["reason"]
+        player.play(imu.select(slice(300, None)))
+        check_second_pass(observer, "swing_align", log, imu)
+
+
+@pytest.mark.parametrize("lead", [50, -20])
+def test_a_looped_drive_begins_anew_whichever_jumps_first(tmp_path: Path, lead: int) -> None:
+    run = simulate_vehicle(
+        VehicleOptions(
+            scenario="urban", grade="fog", rate_hz=50.0, odometer_rate_hz=10.0, duration_s=60.0,
+            seed=3,
+        )
+    )  # fmt: skip
+    parameters = {
+        **THRESHOLDS, "latitude_deg": 40.0, "imu_grade": "fog", "publish_rate_hz": RATE_HZ
+    }  # fmt: skip
+    log = tmp_path / "log"
+    with observing() as observer, running(ODO, *arguments(parameters), log=log):
+        listen(observer, "odo_align")
+        player = Player(observer, "odo_align", odom_type="TwistStamped")
+        player.play(run.imu, run.odometer, lead)
+        observer.wait(lambda: state(observer) == "aligned", "the first alignment")
+        player.play(run.imu, run.odometer, lead)
+        check_second_pass(observer, "odo_align", log, run.imu)
