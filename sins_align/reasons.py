@@ -333,13 +333,31 @@ LATITUDE_DIFFERS = Reason(
     "With latitude_check: warn; what it may do to the attitude is in its covariance."
     " Ends when the two agree.",
 )
+ODOMETER_SILENT = Reason(
+    "odometer_silent",
+    Kind.DOUBT,
+    "no odometer for {silent_s:.0f} s, and the vehicle is not known to stand",
+    "publish topic odom again, or stop the vehicle before it falls silent",
+    "Errors grow, and nothing is measured. Ends with the next sample.",
+    "odo",
+)
+LATITUDE_DOUBTED = Reason(
+    "latitude_doubted",
+    Kind.DOUBT,
+    "by the IMU the latitude is off by {ratio:.1f} times sigma ({sigma_deg:.3f} deg)",
+    "check latitude_deg or the fix",
+    "Of 3 sigma and more with latitude_check: fail, of 5 while there is no heading. Ends when more"
+    " data have told which of the two it is.",
+    "odo",
+)
 ODOMETER_OPPOSITE = Reason(
     "odometer_opposite",
     Kind.DOUBT,
     "the odometer runs opposite to the motion: its speed changes by {slope:.2f} of what the"
     " accelerometers say",
     "turn the sign of the speed on topic odom, or correct mounting_rpy_deg if the IMU looks back",
-    "Ends by itself when they agree: the alignment begins anew.",
+    "Looked for over the last 30 s with changes of velocity. Ends by itself when the two agree:"
+    " the alignment begins anew.",
     "odo",
 )
 ODOMETER_SCALE = Reason(
@@ -348,7 +366,8 @@ ODOMETER_SCALE = Reason(
     "the odometer's speed changes by {slope:.2f} of what the accelerometers say",
     "have the odometer give m/s (km/h is 3.6 times as much, mph 2.24), or declare"
     " odometer_scale_sigma honestly",
-    "Ends by itself when they agree: the alignment begins anew.",
+    "Looked for over the last 30 s with changes of velocity. Ends by itself when the two agree:"
+    " the alignment begins anew.",
     "odo",
 )
 STORED_CHECK = Reason(

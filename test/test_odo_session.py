@@ -346,7 +346,7 @@ def test_without_an_odometer_the_status_says_so() -> None:
     updates = session.add_imu(run.imu.select(slice(0, half)))
     assert session.estimate is None
     assert all(u.estimate is None for u in updates)
-    assert session.status.state is State.COARSE
+    assert session.status.state is State.WAITING
     assert "no odometer" in session.status.reason
     assert "odom" in session.status.remedy
     # And goes on where there is one at last.

@@ -9,6 +9,7 @@ import numpy as np
 from sins_align.config import OdoConfig
 from sins_align.increments import integrate_rotation
 from sins_align.limits import heading_limit
+from sins_align.odo.doubts import Doubts
 from sins_align.odo.epoch import AidedEpoch, integrate_epoch
 from sins_align.odo.filter import AidedFilter
 from sins_align.odo.knowledge import Knowledge, carry_attitude, knowledge_of
@@ -46,6 +47,7 @@ from sins_align.types import (
     Array,
     Estimate,
     ImuBlock,
+    LatitudeEstimate,
     OdometerSamples,
     Position,
     Witness,
@@ -62,6 +64,8 @@ YOUNG_EPOCHS, DISBELIEF = 60, 6.0
 MOST_BEGINNINGS = 3
 # Once the azimuth is known, nothing is gained by epochs as short as before.
 LONG_EPOCH_S = 2.0
+# A latitude less certain than this is not given out [rad].
+LATITUDE_SIGMA = math.radians(2.0)
 
 TURN_MOTION = "drive a circle, or turn by 90 deg or more"
 # Nearer to a pole the Earth's rate is vertical, and no gyro of a vehicle finds north.
@@ -82,6 +86,7 @@ class OdoAligner:
         self._position = position
         self._pairing = Pairing(None if config.stationary else config.odometer)
         self._detector = StandingDetector(config.grade, config.stationary)
+        self._doubts = Doubts(config, position.latitude)
         self._begun_anew = 0
         self._has_lost_azimuth = False
         self._begin()
@@ -136,8 +141,9 @@ class OdoAligner:
     def _take_in(self, paired: Paired, delay: float) -> Advance:
         """Take in an epoch, paired with the odometer `delay` [s] later than is declared."""
         stamp_ns = int(paired.block.stamp_ns[-1])
+        stands = self._config.stationary
         if self._filter is not None:
-            self._process(paired, delay)
+            stands = self._process(paired, delay)
         else:
             started = self._starter.add(paired, self._pairing.quantum)
             if started is not None:
@@ -147,6 +153,10 @@ class OdoAligner:
         if any(map(self._is_stillborn, self._filters())):
             self._begin()
             self._begun_anew += 1
+        if self._doubts.add(paired, stands):
+            # What was learned of an odometer that was wrong is wrong.
+            self._begin()
+            self._begun_anew = 0
         self._give_up()
         self._follow()
         self._known = None if self._filter is None else knowledge_of(self._filter)
@@ -154,8 +164,12 @@ class OdoAligner:
             self._witness = _compare(self._known, knowledge_of(self._wander))
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
-            return Advance(stamp_ns, None, self._why_not())
-        return Advance(stamp_ns, self._estimate)
+            return Advance(stamp_ns, None, (*self._doubts_now(), *self._why_not()))
+        return Advance(stamp_ns, self._estimate, self._doubts_now())
+
+    def _doubts_now(self) -> tuple[Finding, ...]:
+        own = None if self._wander is None else self._wander.latitude
+        return self._doubts.findings(own, self._estimate is not None)
 
     def _is_stillborn(self, filter_: AidedFilter) -> bool:
         """Whether the first epochs contradict each other: one of them was an outlier.
@@ -167,16 +181,18 @@ class OdoAligner:
         infant = filter_.epochs <= INFANT_EPOCHS and filter_.nis > CONTRADICTION
         return infant or (filter_.epochs <= YOUNG_EPOCHS and filter_.consistency > DISBELIEF)
 
-    def _process(self, paired: Paired, delay: float) -> None:
-        """Every filter integrates the epoch with its own biases."""
-        standing = None
+    def _process(self, paired: Paired, delay: float) -> bool:
+        """Every filter integrates the epoch with its own biases; whether the vehicle stands."""
+        standing, stands = None, False
         for filter_ in self._filters():
             epoch = self._integrate(filter_, paired, delay)
             if standing is None:
                 standing = self._detector.judge(epoch)
-                self._detector.note(epoch, filter_.process(epoch, standing))
+                stands = filter_.process(epoch, standing)
+                self._detector.note(epoch, stands)
             else:
                 filter_.process(epoch, standing)
+        return stands
 
     def _integrate(self, filter_: AidedFilter, paired: Paired, delay: float) -> AidedEpoch:
         filter_.odometer.quantum = self._pairing.quantum
@@ -281,7 +297,12 @@ class OdoAligner:
             odometer=None if self._config.stationary else knowledge.odometer,
             consistency=filter_.consistency,
             witness=self._witness,
+            latitude=self._latitude(),
         )
+
+    def _latitude(self) -> LatitudeEstimate | None:
+        own = None if self._wander is None else self._wander.latitude
+        return own if own is not None and own.sigma < LATITUDE_SIGMA else None
 
     def _carry(self, filter_: AidedFilter, C_nb: Array, block: ImuBlock) -> tuple[Array, float]:
         """C_nb at the end of `block`, and how far that is from the last epoch's end [s]."""

@@ -21,6 +21,7 @@ from sins_align.odo.error_model import ErrorModel
 from sins_align.odo.fading import Fading, Innovation
 from sins_align.odo.guards import SOFT_LIMIT, inverse3, soften
 from sins_align.odo.imu_model import gap_noise, imu_noise
+from sins_align.odo.latitude import LengthError
 from sins_align.odo.layout import (
     ACCEL_BIAS,
     GYRO_BIAS,
@@ -92,6 +93,7 @@ class AidedFilter(ABC):
         self._size, self._path = size, path_of(size)
         self._model = ErrorModel(imu_noise(grade), size)
         self._fading = fading
+        self._length: LengthError | None = None  # of the Earth's horizontal part, once imposed
 
     @property
     def cos_latitude(self) -> float:
@@ -242,6 +244,8 @@ class AidedFilter(ABC):
         n = self._size
         cross = expected.cross[:n]
         gain = cross @ inverse
+        if self._length is not None:
+            self._length.update(H, gain, value, inverse)
         P = forecast.P[:n, :n] - gain @ cross.T
         self.P = 0.5 * (P + P.T)
         self._correct(forecast.mean[:n] + gain @ value)

@@ -19,17 +19,23 @@ from sins_align.odo.distribution import Expected, Forecast, Posterior
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.fading import ScaleJumpFading
 from sins_align.odo.filter import FINE_VARIANCE, AidedFilter
+from sins_align.odo.latitude import LengthError, latitude_of_axis, latitude_of_length
 from sins_align.odo.layout import ALPHA, AZIMUTH, PHI, SIZE
 from sins_align.odo.navigation import Course, WanderNavigation
 from sins_align.odo.odometer_model import OdometerModel
 from sins_align.odo.prior import shared_prior
 from sins_align.odo.standing import Standing
-from sins_align.types import Array
+from sins_align.types import Array, LatitudeEstimate
 
 # Beyond so many squared sigma off the circle, P is not believed; up to there it is only what
 # is given out that is widened, and for some epochs more.
 FAR_OFF = 25.0
 EXCESS_MEMORY = 0.97
+
+# Mean normalised innovation squared over its expectation, up to which sigma of the latitude is
+# believed: of an outlier in the first seconds it knows nothing.
+FITTING = 1.2
+MUCH_BETTER = 0.5
 
 _BOTH_AZIMUTHS = np.eye(3, 2)
 _NOTHING = np.zeros(3)
@@ -39,6 +45,8 @@ class WanderFilter(AidedFilter):
     """A wander-azimuth filter.
 
     one_azimuth : whether the azimuth is one state (small-angle model) or two
+    latitude : by the length of the Earth's horizontal part, while it is free: the best one
+        so far; None before there is one
 
     Parameters
     ----------
@@ -60,6 +68,8 @@ class WanderFilter(AidedFilter):
         )
         super().__init__(SIZE, navigation, odometer, sensors, grade, ScaleJumpFading())
         self.one_azimuth = azimuth_sigma is not None
+        self.latitude: LatitudeEstimate | None = None
+        self._better = math.inf  # sigma from which on another latitude takes its place [rad]
         self._excess = 1.0  # by how much the azimuth says that P is too small
         if azimuth_sigma is None:
             azimuth = np.full(2, 0.5 * self.cos_latitude**2)
@@ -80,6 +90,8 @@ class WanderFilter(AidedFilter):
         return stands
 
     def _propagate(self, A: Array, course: Course) -> tuple[Array, Array]:
+        if self._length is not None:
+            self._length.propagate(A)
         return np.zeros(A.shape[0]), A @ self.P @ A.T
 
     def _expect(self, forecast: Forecast, H: Array, path: Array) -> Expected:
@@ -92,6 +104,9 @@ class WanderFilter(AidedFilter):
         excess = self.azimuth().excess
         if excess > FAR_OFF:
             self.P *= excess
+            # With a wrong latitude that will come again and again: what has told so stays. If it
+            # was P that lied, P will soon be smaller by far.
+            self._better *= MUCH_BETTER
             excess = 1.0
         self._excess = excess
 
@@ -105,6 +120,7 @@ class WanderFilter(AidedFilter):
         else:
             e[:2] -= dx[AZIMUTH]
         self.navigation.e_a = e
+        self._note_latitude()
         if not self.one_azimuth:
             # The sum of the variances of sin and cos. To impose their circle any earlier costs
             # 14 deg for good, as it is a curve and not a line.
@@ -112,11 +128,27 @@ class WanderFilter(AidedFilter):
             if variance < FINE_VARIANCE * self.cos_latitude**2:
                 self._hand_over()
 
+    def _note_latitude(self) -> None:
+        """Keep the best latitude that the data have told, while the innovations fit."""
+        if not self.consistency < FITTING:
+            return
+        e, given, length = self.navigation.e_a[:2], self.navigation.latitude, self._length
+        found = None
+        if not self.one_azimuth:
+            found = latitude_of_axis(e, self.P[AZIMUTH, AZIMUTH], given)
+        elif length is not None:
+            sigma = 1.0 / math.sqrt(length.information)
+            found = latitude_of_length(math.hypot(*e.tolist()) - length.r, sigma, given)
+        if found is not None and found.sigma < self._better:
+            self.latitude, self._better = found, found.sigma
+
     def _axis(self) -> Array:
         if not self.one_azimuth:
             return _BOTH_AZIMUTHS
         ex, ey, _ = self.navigation.e_a.tolist()
-        return np.array([[ey, 0.0], [-ex, 0.0], [0.0, 0.0]])
+        # The second one, its length, has no variance: see `LengthError`.
+        length = self.cos_latitude
+        return np.array([[ey, ex / length], [-ex, ey / length], [0.0, 0.0]])
 
     def posterior(self) -> Posterior:
         """See `AidedFilter`: the length of the Earth's axis is taken into account.
@@ -164,7 +196,23 @@ class WanderFilter(AidedFilter):
     def _hand_over(self) -> None:
         """Go on with one azimuth state; nothing that is given out changes by it."""
         azimuth = self.azimuth()
+        self._length = self._length_error(azimuth)
         mean, self.P = self.with_one_azimuth(azimuth)
         self.one_azimuth = True
         self.navigation.e_a[:2] = azimuth.e_h
         self._correct(mean)
+
+    def _length_error(self, azimuth: Azimuth) -> LengthError:
+        """That of the length which the hand-over imposes.
+
+        With u, t along e_h and its tangent, J = P_ee^-1, G = P_xe J: where the length is too large
+        by r, so is the azimuth by - t.J u / t.J t r, and the rest is off by G times both.
+        """
+        P, tangent = self.P[AZIMUTH, AZIMUTH], azimuth.tangent
+        along = azimuth.e_h / self.cos_latitude
+        J = np.linalg.inv(P)
+        turned = -float(tangent @ J @ along) / float(tangent @ J @ tangent)
+        V = self.P[:, AZIMUTH] @ J @ (along + turned * tangent)
+        V[AZIMUTH] = turned, 1.0
+        r = self.cos_latitude - float(along @ self.navigation.e_a[:2])
+        return LengthError(V, r, float(along @ P @ along))

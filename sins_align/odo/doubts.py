@@ -1,0 +1,59 @@
+"""Why what a filter of `odo_align` says is not to be believed, beyond what can be seen of it."""
+
+from __future__ import annotations
+
+import math
+
+from sins_align.config import OdoConfig
+from sins_align.odo.epoch import integrate_epoch
+from sins_align.odo.pairing import Paired
+from sins_align.odo.plausibility import OdometerPlausibility
+from sins_align.reasons import LATITUDE_DOUBTED, ODOMETER_SILENT, Finding
+from sins_align.rotation import dcm_from_rpy
+from sins_align.types import LatitudeEstimate
+
+# A latitude off by so many sigma is to be told from the given one before aligned is claimed; by
+# so many it is named where there is no heading.
+DOUBTED_LATITUDE, WRONG_LATITUDE = 3.0, 5.0
+# An odometer that says nothing for longer is silent [s].
+SILENT_S = 5.0
+
+
+class Doubts:
+    """Watches the odometer, and the latitude that the data tell.
+
+    latitude : the one that was given [rad]
+    """
+
+    def __init__(self, config: OdoConfig, latitude: float) -> None:
+        self._config, self._latitude = config, latitude
+        forward_b = dcm_from_rpy(*config.odometer.mounting_rpy.tolist())[:, 0]
+        self._plausibility = None if config.stationary else OdometerPlausibility(forward_b)
+        self._silent_s = 0.0
+
+    def add(self, paired: Paired, standing: bool) -> bool:
+        """Take in an epoch; whether an odometer that was wrong has become right."""
+        if self._plausibility is None:
+            return False
+        # As the IMU gives it: biases that a wrong odometer has taught are not taken off.
+        epoch = integrate_epoch(paired, self._config.sampling)
+        heard = standing or epoch.travel is not None
+        self._silent_s = 0.0 if heard else self._silent_s + epoch.duration_s
+        return self._plausibility.add(epoch)
+
+    def findings(self, own: LatitudeEstimate | None, has_estimate: bool) -> tuple[Finding, ...]:
+        """What there is to doubt; own : the latitude that the data tell."""
+        findings: list[Finding] = []
+        if self._plausibility is not None:
+            findings += self._plausibility.findings
+        if self._silent_s > SILENT_S:
+            findings.append(ODOMETER_SILENT(silent_s=self._silent_s))
+        check = self._config.latitude_check
+        if own is not None and check != "off" and (check == "fail" or not has_estimate):
+            # One that is far out keeps heading from ever being known.
+            most = DOUBTED_LATITUDE if has_estimate else WRONG_LATITUDE
+            ratio = abs(own.latitude - self._latitude) / own.sigma
+            if ratio > most:
+                sigma = math.degrees(own.sigma)
+                findings.append(LATITUDE_DOUBTED(ratio=ratio, sigma_deg=sigma))
+        return tuple(findings)
