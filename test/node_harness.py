@@ -226,6 +226,11 @@ class Player:
             under_way = [k + 1 for k in range(taken, sent) if stamps[k] == stamp]
             taken = max(under_way, default=taken)
 
+    def burst(self, imu: ImuSamples) -> None:
+        """Publish all of it at once, whether the node takes it or not."""
+        for payload in encode_imu(imu, "imu"):
+            self._imu.publish(bytes(payload))
+
     def _publish_odometer(self, until_ns: int) -> None:
         while self._rows and self._rows[0].stamp_ns <= until_ns:
             row = self._rows.pop(0)

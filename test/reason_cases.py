@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_harness import (
     LATCHED,
@@ -24,9 +25,12 @@ from node_harness import (
     observing,
     running,
 )
+from rclpy.publisher import Publisher
 from std_msgs.msg import Bool
 
 from sins_align.reasons import REASONS, Kind
+from sins_align.ros.bags_topics import odometer_type
+from sins_align.ros.portable_messages import ros_types
 from sins_align.simulate import SwingOptions, VehicleOptions, simulate_swing, simulate_vehicle
 from sins_align.types import Array, ImuSamples, OdometerSamples, Position
 
@@ -36,6 +40,8 @@ RATE_HZ = 20.0
 PAUSE_NS = 2_000_000_000
 PLACE = {"latitude_deg": 40.0, "longitude_deg": 116.0, "altitude_m": 50.0}
 LOOSE = {"heading_threshold_arcmin": 30.0, "level_threshold_arcsec": 400.0, "hold_s": 2.0}
+# One that is refused.
+NO_SAMPLE = ImuSamples(np.zeros(1, np.int64), np.full((3, 1), np.nan), np.zeros((3, 1)))
 NAMES = {SWING: "swing_align", ODO: "odo_align"}
 
 
@@ -172,8 +178,23 @@ class Live:
         self._end_ns: int | None = None
 
     def player(self, position: Position | None = None) -> Player:
-        """A new one."""
-        return Player(self.observer, self.name, *self._topics, self._odom_type, position)
+        """A new one, once the node has answered it: it may know of the node before that of it."""
+        player = Player(self.observer, self.name, *self._topics, self._odom_type, position)
+        answers: list[Time] = []
+        node = self.observer.node
+        node.create_subscription(Time, f"/{self.name}/processed", answers.append, RELIABLE)
+
+        def is_answered() -> bool:
+            player.burst(NO_SAMPLE)
+            return bool(answers)
+
+        self.observer.wait(is_answered, f"{self.name} to answer")
+        return player
+
+    def announce(self, odom_type: str) -> Publisher:
+        """A publisher of the odometer's topic."""
+        message_type = ros_types(odometer_type(odom_type))
+        return self.observer.node.create_publisher(message_type, self._topics[1], 10)
 
     def begin(self, drive: Drive) -> None:
         """The next data are of another time."""
@@ -269,8 +290,8 @@ class Nodes:
     def check(self, case: Case) -> None:
         """Every stage of a case, and the way to aligned."""
         live = self.get(case.module, **case.parameters)
-        first = next(stage.drive for stage in case.stages if stage.drive is not None)
-        live.begin(first())
+        drives = [*(stage.drive for stage in case.stages), case.mended]
+        live.begin(next(drive for drive in drives if drive is not None)())
         for stage in case.stages:
             live.wait_for(stage)
         if case.mended is None:

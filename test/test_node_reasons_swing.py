@@ -28,11 +28,11 @@ WEAK = ThreeAxisSwing("weak", (0.0, 0.0, 0.0), (0.3, 0.3, 0.3))
 NOISE = 50.0
 
 
-def noisy(duration_s: float) -> Drive:
+def noisy() -> Drive:
     """Gyros with NOISE times the noise of the declared grade."""
     grade = load_grade("rlg")
     grade = dataclasses.replace(grade, gyro_arw=NOISE * grade.gyro_arw)
-    return swing(duration_s, seed=2, grade=grade)
+    return swing(120.0, seed=3, grade=grade)
 
 
 def biased() -> Drive:
@@ -157,8 +157,8 @@ CASES = (
     Case(
         "gyro noise",
         SWING,
-        (Stage(("unsteady", "witness_differs"), lambda: noisy(100.0)),),
-        lambda: noisy(100.0),
+        (Stage(("unsteady", "witness_differs"), noisy),),
+        noisy,
         COARSE,
         {"gyro_arw_deg_sqrt_h": NOISE * 0.0005},
     ),
