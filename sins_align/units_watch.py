@@ -64,12 +64,14 @@ class UnitsWatch:
         raw, scaled, body = (np.array(forces) for forces in self._forces)
         count = raw.shape[0]
         turn, as_degrees = _turn(raw), _turn(scaled)
+        tilt, left = _spread(body), _spread(raw)
         found = turn > MOST_TURN and as_degrees < SHARE * turn
+        if tilt > LEAST_TILT:  # taken for degrees, they would have to explain it
+            found = found and _spread(scaled) < 0.5 * tilt
         span = round(2 * count / 3)
         figures = {"angle_deg": turn / DEG, "span_s": span, "scaled_deg": as_degrees / DEG}
         was_faulty = self.fault is not None
         self.fault = GYRO_IN_DEGREES(**figures) if found else None
-        tilt, left = _spread(body), _spread(raw)
         differ = tilt > LEAST_TILT and left > WORSE * tilt and not found
         self.hint = AXES_DIFFER(tilt_deg=tilt / DEG, left_deg=left / DEG) if differ else None
         if found or was_faulty:

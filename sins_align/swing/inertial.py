@@ -150,7 +150,7 @@ class InertialAligner:
             return (LEVELLING(elapsed_s=now),)
         findings = []
         if self._estimate is None:
-            sigma = math.degrees(min(self._heading_sigma(self._filter), math.pi))
+            sigma = math.degrees(min(math.sqrt(_heading_variance(self._solution)), math.pi))
             bound = math.degrees(COARSE_SIGMA)
             findings.append(HEADING_COARSE(sigma=f"sigma {sigma:.0f} deg, not below {bound:.0f}"))
         noise = self._filter.noise
@@ -310,9 +310,7 @@ class InertialAligner:
 
     def _is_coarse(self, solution: Solution) -> bool:
         """Whether heading is known well enough to be spoken of."""
-        up = solution.R[:, 2]
-        variance = up @ solution.covariance[KAPPA, KAPPA] @ up
-        return bool(variance < COARSE_SIGMA**2)
+        return _heading_variance(solution) < COARSE_SIGMA**2
 
     def _heading_sigma(self, filter_: TwoStageFilter) -> float:
         """1 sigma of heading with the information of `filter_` [rad]."""
@@ -386,6 +384,12 @@ class InertialAligner:
         covariance = covariance + self._config.lever_arm_prior_sigma**2 * unknown
         x, y, z = (bool(share < 0.1) for share in frozen.diagonal())
         return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
+
+
+def _heading_variance(solution: Solution) -> float:
+    """Of the attitude at the first sample [rad^2]."""
+    up = solution.R[:, 2]
+    return float(up @ solution.covariance[KAPPA, KAPPA] @ up)
 
 
 def _cycle_s(now: float) -> float:

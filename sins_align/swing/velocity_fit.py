@@ -33,6 +33,9 @@ from sins_align.types import Witness
 
 NAME = "velocity fit"
 FIRST_S = 30.0
+# A base that has turned by more than this [rad] has turned its biases with it, of which the fit
+# knows nothing: 20 ug are then 10' of its heading, and it is no witness any more.
+TURNED = 0.35
 # Least squares of a random walk is so much worse than the best, in variance.
 UNWEIGHTED = 1.2
 
@@ -47,6 +50,7 @@ class VelocityFit:
 
     def __init__(self, gravity: GravityModel, noise: NoiseModel) -> None:
         self._gravity, self._noise = gravity, noise
+        self._has_turned = False
         self._normal = np.zeros((BASE + 1, BASE + 1))
         self._velocity = np.zeros(3)
         self._count = 0
@@ -67,6 +71,8 @@ class VelocityFit:
         C = epochs.C[self._count :]
         A[:, :, LEVER] = (C[:-1] - C[1:]) / T[:, None, None]
         A[:, :, DATA] = before + epochs.s[new] / T[:, None]
+        traces = np.einsum("kii->k", C)
+        self._has_turned |= bool(traces.min() < 1.0 + 2.0 * math.cos(TURNED))
         flat = A.reshape(-1, BASE + 1)
         self._normal += flat.T @ flat
         self._count += K
@@ -74,7 +80,7 @@ class VelocityFit:
     def compare(
         self, solution: Solution, prior: Prior, epochs: Epochs, variance: float, position: float
     ) -> Witness | None:
-        """The fit beside a solution; None while there is none.
+        """The fit beside a solution; None while there is none, and once the base has turned.
 
         Parameters
         ----------
@@ -82,7 +88,7 @@ class VelocityFit:
         position : variance of the centre's position at an epoch [m^2]
         """
         time_s = float(epochs.time_s[-1])
-        if time_s < FIRST_S or abs(math.cos(self._gravity.latitude)) < 1e-3:
+        if self._has_turned or time_s < FIRST_S or abs(math.cos(self._gravity.latitude)) < 1e-3:
             return None
         # In units of what a mean velocity is uncertain by, for the prior of the lever arm.
         normal = self._normal / self._white(time_s, position)
