@@ -304,7 +304,7 @@ UNPROVEN = Reason(
     Kind.PROGRESS,
     "there are too few solutions yet to see whether heading stays",
     "",
-    "Ends within the first minute: a claim needs three earlier headings from which this one differs"
+    "Ends within half a minute: a claim needs four earlier headings from which this one differs"
     " by no more than it should.",
     "swing",
 )

@@ -17,8 +17,8 @@ from sins_align.swing.solution import KAPPA, Solution
 from sins_align.types import Array
 
 # Solutions of the first seconds are not linear enough.
-FIRST_S = 25.0
-LEAST_COUNT = 3  # earlier solutions
+FIRST_S = 10.0
+LEAST_COUNT = 4  # earlier solutions
 # What rounding and what is left of Gauss-Newton may add, of the variance.
 FLOOR = 1e-3
 
