@@ -36,12 +36,12 @@ SYNTH = "sins_align.ros.synth_node"
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RELIABLE = QoSProfile(depth=1000)
-TEXTS = {"state", "reason", "remedy"}
+TEXTS = {"state", "reason", "reason_keys", "remedy"}
 # Of the diagnostics of every node; values of those that are no texts are numbers.
 KEYS = TEXTS | {
     "elapsed_s", "sigma_east_arcmin", "sigma_north_arcmin", "sigma_heading_arcmin",
     "heading_limit_arcmin", "eta_s", "consistency", "imu_rate_hz", "imu_gaps", "imu_rejected",
-    "odom_rejected",
+    "odom_rejected", "latitude_deg", "latitude_sigma_deg",
 }  # fmt: skip
 
 # One a worker; domains beyond 101 meet the system's ephemeral ports.

@@ -47,7 +47,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 TABLE = parameters_of("swing_align")
 RUNTIME = {
     "heading_threshold_arcmin", "level_threshold_arcsec", "hold_s", "publish_rate_hz",
-    "nav_frame", "result_file",
+    "nav_frame", "result_file", "latitude_check",
 }  # fmt: skip
 
 

@@ -36,8 +36,8 @@ def fed(headings: list[float], sigmas: list[float]) -> Steadiness:
 
 
 def test_the_largest_change_counts_and_its_variance_is_the_difference() -> None:
-    found = fed([3e-3, 0.0, 0.0, 0.0, 1e-3], [1e-3, 9e-4, 8e-4, 7e-4, 6e-4])
-    assert found.value == pytest.approx(4e-6 / (1.001e-6 - 0.36e-6), rel=1e-6)
+    found = fed([3e-3, 0.0, 0.0, 0.0, 5e-4], [1e-3, 9e-4, 8e-4, 7e-4, 6e-4])
+    assert found.value == pytest.approx(6.25e-6 / (1.001e-6 - 0.36e-6), rel=1e-6)
 
 
 def test_a_slow_drift_shows_that_no_single_change_does() -> None:
