@@ -107,15 +107,15 @@ CASES = (
         (
             Stage(
                 ("estimate_broke",),
-                lambda: swing(100.0).part(0.0, 20.0).sensed(w=lambda w: w / DEG),
+                lambda: swing(130.0).part(0.0, 20.0).sensed(w=lambda w: w / DEG),
                 in_log=True,
             ),
             Stage(
                 ("gyro_in_degrees",),
-                lambda: swing(100.0).part(20.0, 32.0).sensed(w=lambda w: w / DEG),
+                lambda: swing(130.0).part(20.0, 32.0).sensed(w=lambda w: w / DEG),
             ),
         ),
-        lambda: swing(100.0).part(32.0),
+        lambda: swing(130.0).part(32.0),
     ),
     Case(
         "axes turned",
