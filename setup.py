@@ -49,8 +49,8 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "swing_align = swing_align_ros.node:main",
-            "odo_align = odo_align_ros.node:main",
+            "swing_align = swing_align_ros.__main__:main",
+            "odo_align = odo_align_ros.__main__:main",
             "align_replay = sins_align.ros.replay_command:main",
             "align_simulate = sins_align.ros.simulate_command:main",
             "align_synth = sins_align.ros.synth_node:main",

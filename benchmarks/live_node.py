@@ -72,7 +72,7 @@ def measure_live(duration_s: float = 60.0, executor: str = "single") -> dict[str
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result.json"
         node = start(
-            "-m", "swing_align_ros.node", "--ros-args", "-p", "latitude_deg:=40.0",
+            "-m", "swing_align_ros", "--ros-args", "-p", "latitude_deg:=40.0",
             "-p", f"result_file:={result}", "-p", f"executor:={executor}",
         )  # fmt: skip
         empty = start("-c", EMPTY_SUBSCRIBER)

@@ -16,7 +16,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from evidence import odo, odo_data, odo_methods, odo_paper, swing
+from evidence import odo, odo_data, odo_methods, odo_paper, status, swing
 
 SECTIONS = (
     *swing.SECTIONS,
@@ -24,6 +24,7 @@ SECTIONS = (
     *odo_methods.SECTIONS,
     *odo_paper.SECTIONS,
     *odo_data.SECTIONS,
+    *status.SECTIONS,
 )
 
 

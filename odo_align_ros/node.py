@@ -19,7 +19,7 @@ from sins_align.ros.diagnostics import odometer_texts
 from sins_align.ros.node_base import AlignNode
 from sins_align.ros.odometer import OdometerRow, odometer_row, odometer_samples
 from sins_align.ros.portable_messages import ros_types
-from sins_align.ros.run_node import run_node, spin_aligner
+from sins_align.ros.run_node import prepare_aligner, run_node
 from sins_align.session import Session, Update
 from sins_align.types import Estimate
 
@@ -61,7 +61,7 @@ class OdoAlignNode(AlignNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; returns its exit status."""
-    return run_node(NAME, OdoAlignNode, spin_aligner, args)
+    return run_node(NAME, OdoAlignNode, prepare_aligner, args)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sins_align.grades import ConfigError, ImuGrade, grade_from_values, load_grade
 from sins_align.parameters import GRADE_OVERRIDES, check_values
+from sins_align.stored import StoredAlignment, read_stored_alignment
 from sins_align.types import Array, ImuSampling, Position
 from sins_align.units import ARCMIN, ARCSEC, DEG
 
@@ -62,6 +64,7 @@ class SwingConfig:
     position_noise : floor, 1 sigma of the swing centre at a filter step [m]
     position_walk : random walk of the swing centre [m/sqrt(s)]
     latitude_check : 'warn', 'fail' or 'off'
+    initial : an alignment to go on from, None: there is none
     """
 
     method: str
@@ -76,6 +79,7 @@ class SwingConfig:
     position_walk: float
     paper: PaperConfig
     latitude_check: str = "warn"
+    initial: StoredAlignment | None = None
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,7 @@ class OdoConfig:
     coarse, fading, nodes : of the methods with a large azimuth error: what they start from,
         strong tracking, nodes of the Gauss-Hermite rule
     latitude_check : 'warn', 'fail' or 'off'
+    initial : an alignment to go on from, None: there is none
     """
 
     method: str
@@ -131,6 +136,7 @@ class OdoConfig:
     fading: str
     nodes: int
     latitude_check: str = "warn"
+    initial: StoredAlignment | None = None
 
 
 def _position(values: Mapping[str, Any]) -> Position | None:
@@ -151,12 +157,27 @@ def _grade(values: Mapping[str, Any]) -> ImuGrade:
     return grade_from_values(overrides, load_grade(values["imu_grade"]))
 
 
-def _completion(values: Mapping[str, Any]) -> Completion:
+def completion_of(values: Mapping[str, Any]) -> Completion:
+    """When the alignment is complete, from checked parameter values in YAML units."""
     return Completion(
         values["heading_threshold_arcmin"] * ARCMIN,
         values["level_threshold_arcsec"] * ARCSEC,
         values["hold_s"],
     )
+
+
+def _initial(values: Mapping[str, Any]) -> StoredAlignment | None:
+    """The stored alignment that the parameter names.
+
+    Raises
+    ------
+    ConfigError : there is none in that file; names parameter, file and key
+    """
+    name = values["initial_result_file"]
+    try:
+        return read_stored_alignment(Path(name)) if name else None
+    except ConfigError as error:
+        raise ConfigError(f"initial_result_file: {error}") from None
 
 
 def _none_if_nan(value: float) -> float | None:
@@ -176,12 +197,13 @@ def odo_config(parameters: Mapping[str, object] | None = None) -> OdoConfig:
         position=_position(values),
         grade=_grade(values),
         sampling=ImuSampling(values["imu_sampling"]),
-        completion=_completion(values),
+        completion=completion_of(values),
         stationary=values["aiding"] == "stationary",
         coarse=values["coarse"],
         fading=values["fading"],
         nodes=values["gauss_hermite_nodes"],
         latitude_check=values["latitude_check"],
+        initial=_initial(values),
         odometer=OdometerConfig(
             timeout_s=values["odom_timeout_s"],
             latency=values["odometer_latency_s"],
@@ -218,13 +240,14 @@ def swing_config(parameters: Mapping[str, object] | None = None) -> SwingConfig:
         position=_position(values),
         grade=_grade(values),
         sampling=ImuSampling(values["imu_sampling"]),
-        completion=_completion(values),
+        completion=completion_of(values),
         passes=values["passes"],
         latitude_check=values["latitude_check"],
         lever_arm_prior=np.array(values["lever_arm_prior_m"]),
         lever_arm_prior_sigma=values["lever_arm_prior_sigma_m"],
         position_noise=noise,
         position_walk=0.4 * noise if math.isnan(walk) else walk,
+        initial=_initial(values),
         paper=PaperConfig(
             differentiator=values["differentiator"],
             regression=values["regression"],

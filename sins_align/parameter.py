@@ -22,6 +22,7 @@ class Parameter:
     default : its type is the parameter's type; NaN stands for "not set"
     low, high : inclusive range of a number, or of every element of an array
     length : number of elements of an array, None when free
+    runtime : can change while a node runs
     """
 
     name: str
@@ -32,6 +33,7 @@ class Parameter:
     high: float = math.inf
     choices: tuple[str, ...] = ()
     length: int | None = None
+    runtime: bool = False
 
     def check(self, value: object) -> Value:
         """`value` in the parameter's type.

@@ -59,6 +59,7 @@ COMMON_PARAMETERS: tuple[Parameter, ...] = (
         "aligned when sigma of heading is below",
         low=1e-6,
         high=10800.0,
+        runtime=True,
     ),
     Parameter(
         "level_threshold_arcsec",
@@ -66,17 +67,31 @@ COMMON_PARAMETERS: tuple[Parameter, ...] = (
         "aligned when sigma of both levels is below",
         low=1e-6,
         high=324000.0,
+        runtime=True,
     ),
-    Parameter("hold_s", 10.0, "and has been for so long", low=0.0, high=3600.0),
+    Parameter("hold_s", 10.0, "and has been for so long", low=0.0, high=3600.0, runtime=True),
     Parameter(
         "latitude_check",
         "warn",
         "where the latitude is not that of the data: warn, and align all the same; fail; or off",
         choices=("warn", "fail", "off"),
+        runtime=True,
     ),
-    Parameter("publish_rate_hz", 50.0, "rate of the attitude output", low=0.1, high=1000.0),
-    Parameter("nav_frame", "map", "frame_id of the ENU frame"),
-    Parameter("result_file", "", "result.json is written here; empty: nowhere"),
+    Parameter(
+        "publish_rate_hz",
+        50.0,
+        "rate of the attitude output",
+        low=0.1,
+        high=1000.0,
+        runtime=True,
+    ),
+    Parameter("nav_frame", "map", "frame_id of the ENU frame", runtime=True),
+    Parameter("result_file", "", "result.json is written here; empty: nowhere", runtime=True),
+    Parameter(
+        "initial_result_file",
+        "",
+        "a result.json to go on from, if the vehicle has not moved since; empty: none",
+    ),
     Parameter("executor", "single", "rclpy executor of the node", choices=("single", "events")),
 )
 

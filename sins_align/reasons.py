@@ -299,14 +299,33 @@ INCONSISTENT = Reason(
     "keep to what the settings say: check imu_grade, imu_sampling, the latitude and the odometer",
     "The mean normalised innovation squared is beyond its bound. Ends when it is inside.",
 )
+UNPROVEN = Reason(
+    "unproven",
+    Kind.PROGRESS,
+    "there are too few solutions yet to see whether heading stays",
+    "",
+    "Ends within the first minute: a claim needs three earlier headings from which this one differs"
+    " by no more than it should.",
+    "swing",
+)
 UNSTEADY = Reason(
     "unsteady",
     Kind.DOUBT,
-    "the attitude changes from solution to solution by {ratio:.1f} times what its sigma allows:"
+    "heading has changed by {ratio:.1f} times the sigma of what new data may change:"
     " gyro noise above the declared grade, or a base that creeps",
     "check imu_grade (gyro_arw_deg_sqrt_h) and imu_sampling; keep the vehicle on firm ground",
-    "Ends when the last changes are what they should be.",
+    "Ends when heading is where it was before, as far as its sigma tells; or restart.",
     "swing",
+)
+STAMP_JITTER = Reason(
+    "stamp_jitter",
+    Kind.DOUBT,
+    "the stamps jitter by {jitter_ms:.2f} ms, which on this motion is {ratio:.1f} times the noise"
+    " of the gyros",
+    "stamp the samples when they are taken, not when they arrive; or declare the noise that this"
+    " makes (gyro_arw_deg_sqrt_h)",
+    "The values are smoother by their number than by their stamps. Ends half a minute after the"
+    " stamps are right, or the base moves less.",
 )
 WITNESS_DIFFERS = Reason(
     "witness_differs",
@@ -374,15 +393,23 @@ STORED_CHECK = Reason(
     "stored_check",
     Kind.PROGRESS,
     "checking the stored alignment ({elapsed_s:.0f} of {check_s:.0f} s)",
-    "keep the vehicle in place",
-    "Gravity and the Earth's rate are compared with initial_result_file.",
+    "keep the base still",
+    "Gravity and the Earth's rate are compared with `initial_result_file`.",
 )
-STORED_REFUSED = Reason(
-    "stored_refused",
+STORED_CONFIRM = Reason(
+    "stored_confirm",
+    Kind.PROGRESS,
+    "checking the stored alignment: the base sways, and the new heading is not known to"
+    " {sigma_deg:.1f} deg yet",
+    "keep the base still",
+    "A sway hides the Earth's rate; the new alignment has to agree first.",
+)
+STORED_DROPPED = Reason(
+    "stored_dropped",
     Kind.NOTE,
-    "the stored alignment does not fit: {why}",
-    "none is needed: the alignment goes on as if nothing had been stored",
-    "The vehicle has moved since, or moves. Said until there is an estimate.",
+    "the stored alignment is dropped: {why}",
+    "clear initial_result_file once the base has been moved",
+    "It does not fit, or the base moves. The alignment goes on as if nothing had been stored.",
 )
 
 REASONS: tuple[Reason, ...] = tuple(v for v in list(globals().values()) if isinstance(v, Reason))

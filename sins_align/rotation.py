@@ -89,6 +89,22 @@ def exp_rotation(phi: Array) -> Array:
     )
 
 
+def rotations_about(rate: Array, time_s: Array) -> Array:
+    """Rotations about one axis within several times: (N, 3, 3).
+
+    I + sin a [k x] + (1 - cos a) [k x]^2 with a = |rate| t, k = rate / |rate| (Rodrigues)
+
+    Parameters
+    ----------
+    rate : (3,) [rad/s], not zero; time_s : (N,)
+    """
+    size = float(np.linalg.norm(rate))
+    K = skew(rate / size)
+    angle = (size * time_s)[:, None, None]
+    turned: Array = np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
+    return turned
+
+
 def log_rotation(C: Array) -> Array:
     """Rotation vector of a direction cosine matrix, |phi| <= pi: (3,) [rad]."""
     q = quaternion_from_dcm(C)

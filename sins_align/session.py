@@ -24,16 +24,16 @@ from sins_align.odo.odometer_intake import OdometerIntake
 from sins_align.reasons import (
     BEGAN_ANEW,
     ESTIMATE_BROKE,
-    FORCE_IN_G,
-    FORCE_SIZE,
-    GRAVITY_REMOVED,
     IMU_REFUSED,
     LEVELLING,
     NO_IMU,
     NO_POSITION,
-    SLOW_IMU,
+    VEHICLE_MOVES,
     Finding,
 )
+from sins_align.resume import ResumingAidedAligner, ResumingAligner
+from sins_align.soundness import check_arrays, check_odometer_arrays, find_fault, is_sound
+from sins_align.stamp_watch import StampWatch
 from sins_align.status import Completer, Declared, Expectation
 from sins_align.swing import make_aligner
 from sins_align.types import (
@@ -51,16 +51,9 @@ from sins_align.types import (
 )
 from sins_align.units_watch import UnitsWatch
 
-# 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
-MAX_INTERVAL_S = 0.125
 # How far back an odometer's samples are of use to an alignment that begins [ns].
 KEPT_NS = 5_000_000_000
-# Root mean square over a block [m/s^2]; a swing adds little to gravity.
-LEAST_FORCE, GREATEST_FORCE = 7.0, 14.0
-# Of gravity in g, and of what is left where gravity has been taken off.
-LEAST_FORCE_IN_G, GREATEST_FORCE_IN_G = 0.7, 1.4
-
-
+HAD_MOVED = "the vehicle had moved"
 TURN_BASE = "turn the base by 90 deg or more"
 
 
@@ -87,6 +80,7 @@ class Session:
         self._counts = InputCounts()
         self._odometer_intake = OdometerIntake(self._counts)
         self._restarts = 0
+        self._initial = config.initial
         self._begin("")
 
     def _begin(self, reason: str, at_ns: int | None = None) -> None:
@@ -95,7 +89,8 @@ class Session:
         self._intake = Intake(self._counts)
         self._completer = self._make_completer()
         self._units = UnitsWatch(self._config.sampling)
-        self._begin_reason = reason
+        self._stamps = StampWatch(self._config.grade.gyro_arw)
+        self._begin_reason, self._moves = reason, False
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
 
@@ -106,8 +101,15 @@ class Session:
             return
         if isinstance(self._config, SwingConfig):
             self._aligner = make_aligner(self._config, self._position)
+            if self._initial is not None:
+                self._aligner = ResumingAligner(
+                    self._aligner, self._config, self._position, self._initial
+                )
             return
-        self._aligner = self._aided = make_odo_aligner(self._config, self._position)
+        aided = make_odo_aligner(self._config, self._position)
+        if self._initial is not None:
+            aided = ResumingAidedAligner(aided, self._config, self._position, self._initial)
+        self._aligner = self._aided = aided
         # The odometer may be ahead of the IMU. From a fixed time on: what comes of it must not
         # depend on what else is still kept.
         recent = self._odometer_intake.recent()
@@ -195,12 +197,22 @@ class Session:
             self._position = position
             self._begin(self._begin_reason)
 
+    def set_completion(self, completion: Completion, latitude_check: str | None = None) -> None:
+        """Other thresholds, from the next block on; everything else goes on as it was.
+
+        latitude_check : 'warn', 'fail' or 'off'; None: as before
+        """
+        check = latitude_check or self._config.latitude_check
+        self._config = replace(self._config, completion=completion, latitude_check=check)
+        self._completer.set_completion(completion, check)
+
     def restart(self, reason: str = "restarted on request") -> None:
         """Forget everything but the counts and the position, and start again."""
         self._restart(reason)
 
     def _restart(self, reason: str, at_ns: int | None = None) -> None:
         self._restarts += 1
+        self._initial = None  # nobody has seen whether the base has moved meanwhile
         self._begin(reason, at_ns)
 
     def add_imu(self, samples: ImuSamples) -> list[Update]:
@@ -253,6 +265,7 @@ class Session:
         fault = find_fault(block)
         if fault is None:
             self._units.update(block)
+            self._stamps.update(block)
             fault = self._units.fault
         if fault is not None:
             return self._fail(int(block.stamp_ns[-1]), fault)
@@ -263,7 +276,8 @@ class Session:
         try:
             steps = work()
         except np.linalg.LinAlgError as error:
-            stamp_ns = self._counts.last_stamp_ns
+            # Of the last block, not of the last sample: how many came in one call says nothing.
+            stamp_ns = self._odometer_intake.imu_ns
             return self._fail(0 if stamp_ns is None else stamp_ns, ESTIMATE_BROKE(cause=error))
         updates: list[Update] = []
         for step in steps:
@@ -271,15 +285,25 @@ class Session:
                 broke = ESTIMATE_BROKE(cause="it is not finite")
                 return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
-            if self._units.hint is not None:
-                step = step._replace(findings=(*step.findings, self._units.hint))
+            self._note_motion(step)
+            more = [f for f in (self._units.hint, self._stamps.finding) if f is not None]
+            step = step._replace(findings=(*step.findings, *more))
             self._status = self._completer.update(step, elapsed, self._begin_reason)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates
 
+    def _note_motion(self, step: Advance) -> None:
+        """Count the start after a drive: the aligner has begun anew by itself."""
+        moves = any(f.reason is VEHICLE_MOVES for f in step.findings)
+        if self._moves and not moves:
+            self._restarts += 1
+            self._begin_reason = HAD_MOVED
+        self._moves = moves
+
     def _fail(self, stamp_ns: int, fault: Finding) -> list[Update]:
         """The block is of no use; the alignment begins anew with the first one that is."""
         elapsed = self._intake.elapsed_s(stamp_ns)
+        self._initial = None
         self._make_aligner(stamp_ns)
         self._completer = self._make_completer()
         self._status = Status(State.FAILED, (fault,), elapsed)
@@ -311,15 +335,14 @@ class Session:
         if self._aligner is None or status.state is State.FAILED or self._status is None:
             return math.nan
         ahead = self._aligner.foresee(self._config.completion.heading_threshold)
+        if not math.isfinite(ahead):
+            return ahead
         hold = self._config.completion.hold_s
         if ahead == 0.0:
-            hold -= self._completer.held_s(status.elapsed_s)
-        return max(ahead + hold, 0.0)
-
-    def set_completion(self, completion: Completion) -> None:
-        """Other thresholds, from the next step on; nothing is lost by it."""
-        self._config = replace(self._config, completion=completion)
-        self._completer.completion = completion
+            return self._aligner.next_step(
+                max(hold - self._completer.held_s(status.elapsed_s), 0.0)
+            )
+        return self._aligner.next_step(self._aligner.next_step(ahead) + hold)
 
     @property
     def conclusion(self) -> Estimate | None:
@@ -335,62 +358,3 @@ class Session:
         except np.linalg.LinAlgError:
             return None
         return estimate if estimate is not None and is_sound(estimate) else None
-
-
-def find_fault(block: ImuBlock) -> Finding | None:
-    """Why nothing can be made of a block; None where something can."""
-    stamps = block.stamp_ns
-    interval = int(stamps[-1] - stamps[0]) * 1e-9 / (stamps.shape[0] - 1)
-    if interval > MAX_INTERVAL_S:  # so it may be where samples are lost, but not all steps
-        interval = float(np.quantile(np.diff(stamps), 0.25)) * 1e-9
-    if interval > MAX_INTERVAL_S:
-        return SLOW_IMU(rate_hz=1.0 / interval)
-    f = block.f_ib_b
-    force = math.sqrt(float(np.einsum("ik,ik->", f, f)) / f.shape[1])
-    if LEAST_FORCE < force < GREATEST_FORCE:
-        return None
-    if LEAST_FORCE_IN_G < force < GREATEST_FORCE_IN_G:
-        return FORCE_IN_G(force=force)
-    return (GRAVITY_REMOVED if force < LEAST_FORCE else FORCE_SIZE)(force=force)
-
-
-def is_sound(estimate: Estimate) -> bool:
-    """Whether an estimate is fit to be shown: finite, and no variance below zero."""
-    P = estimate.misalignment_covariance
-    finite = np.isfinite(P).all() and np.isfinite(estimate.q_nb).all()
-    return bool(finite and (P.diagonal() >= 0.0).all())
-
-
-def check_odometer_arrays(samples: OdometerSamples) -> None:
-    """As `check_arrays`.
-
-    Raises
-    ------
-    ValueError : names the array
-    """
-    size = np.size(samples.stamp_ns)
-    _check_array("stamp_ns", samples.stamp_ns, np.int64, (size,))
-    _check_array("speed", samples.speed, np.float64, (size,))
-    _check_array("variance", samples.variance, np.float64, (size,))
-
-
-def check_arrays(samples: ImuSamples) -> None:
-    """Refuse what would go wrong later, and far from its cause.
-
-    Raises
-    ------
-    ValueError : names the array
-    """
-    size = np.size(samples.stamp_ns)
-    _check_array("stamp_ns", samples.stamp_ns, np.int64, (size,))
-    _check_array("w_ib_b", samples.w_ib_b, np.float64, (3, size))
-    _check_array("f_ib_b", samples.f_ib_b, np.float64, (3, size))
-
-
-def _check_array(name: str, array: object, dtype: type, shape: tuple[int, ...]) -> None:
-    if not isinstance(array, np.ndarray) or array.dtype.type is not dtype:
-        kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
-        raise ValueError(f"{name}: an array of {dtype.__name__} is expected, not {kind}")
-    if array.shape != shape:
-        wanted = "(N,)" if name == "stamp_ns" else shape
-        raise ValueError(f"{name}: shape {wanted} is expected, not {array.shape}")

@@ -31,6 +31,7 @@ from sins_align.reasons import (
     LATITUDE_WRONG,
     LEVEL_LIMIT,
     LEVEL_SIGMA,
+    UNPROVEN,
     UNSTEADY,
     WITNESS_DIFFERS,
     Finding,
@@ -51,8 +52,8 @@ MAX_CONSISTENCY = 2.0
 # Two estimates from the same data may differ by less than independent ones would: normalised square
 # of the difference over its expectation for such.
 MAX_DISAGREEMENT = 1.0
-# Changes of the attitude from one solution to the next, as `consistency`.
-MAX_UNSTEADINESS = 4.0
+# Largest square of a change of heading over its variance, of some that are not independent.
+MAX_UNSTEADINESS = 9.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
 
@@ -107,6 +108,11 @@ class Completer:
         self._below_since_s: float | None = None
         self._aligned_at_s: float | None = None
 
+    def set_completion(self, completion: Completion, latitude_check: str) -> None:
+        """Other thresholds, from the next step on; for how long all was well stays known."""
+        self.completion = completion
+        self._expectation = self._expectation._replace(latitude_check=latitude_check)
+
     def update(self, step: Advance, elapsed_s: float, begin_reason: str = "") -> Status:
         """Status after a step of the aligner.
 
@@ -146,7 +152,7 @@ class Completer:
             self._below_since_s = elapsed_s
         held = elapsed_s - self._below_since_s
         if held < self.completion.hold_s:
-            self._state = self._degree(estimate)
+            self._state, self._aligned_at_s = self._degree(estimate), None
             holding = HOLDING(held_s=held, hold_s=self.completion.hold_s)
             return Status(self._state, (holding, *findings), elapsed_s, None, limit)
         self._state = State.ALIGNED
@@ -216,8 +222,11 @@ class Completer:
         doubts = []
         if estimate.consistency > self._widened(MAX_CONSISTENCY):
             doubts.append(INCONSISTENT(ratio=estimate.consistency))
-        if estimate.steadiness > self._widened(MAX_UNSTEADINESS):
-            doubts.append(UNSTEADY(ratio=math.sqrt(estimate.steadiness)))
+        steadiness = estimate.steadiness
+        if steadiness is not None and math.isnan(steadiness):
+            doubts.append(UNPROVEN())
+        elif steadiness is not None and steadiness > self._widened(MAX_UNSTEADINESS):
+            doubts.append(UNSTEADY(ratio=math.sqrt(steadiness)))
         witness = estimate.witness
         if witness is not None and not witness.square <= self._widened(MAX_DISAGREEMENT):
             heading, ratio = abs(float(witness.phi[2])) / ARCMIN, math.sqrt(witness.square)

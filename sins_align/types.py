@@ -160,8 +160,8 @@ class Estimate:
     consistency : mean normalised innovation squared over its expected value, of late: above 1
         the data are worse than declared, below 1 better; NaN before there is an innovation
     witness : another estimate from the same data, where there is one
-    steadiness : mean square of the attitude's changes from solution to solution over what its
-        covariance allows; NaN where it is not known
+    steadiness : largest square of a change of heading from an earlier solution to this one, over
+        its variance; NaN before there are enough, None where the method has none
     latitude : as the data tell it, None where they do not
     """
 
@@ -176,7 +176,7 @@ class Estimate:
     odometer: OdometerEstimate | None = None
     consistency: float = float("nan")
     witness: Witness | None = None
-    steadiness: float = float("nan")
+    steadiness: float | None = None
     latitude: LatitudeEstimate | None = None
 
     @property
@@ -309,6 +309,9 @@ class Aligner(Protocol):
         By the covariance propagated ahead under the motion seen so far; changes nothing. inf:
         not within an hour; NaN: it cannot be said.
         """
+
+    def next_step(self, ahead_s: float) -> float:
+        """Time from now to the first step that is at least so far ahead [s]."""
 
 
 class AidedAligner(Aligner, Protocol):

@@ -12,7 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from sins_align.config import swing_config
 from sins_align.ros.diagnostics import lever_arm_texts
 from sins_align.ros.node_base import AlignNode
-from sins_align.ros.run_node import run_node, spin_aligner
+from sins_align.ros.run_node import prepare_aligner, run_node
 from sins_align.session import Session
 from sins_align.types import Estimate
 
@@ -32,7 +32,7 @@ class SwingAlignNode(AlignNode):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; returns its exit status."""
-    return run_node(NAME, SwingAlignNode, spin_aligner, args)
+    return run_node(NAME, SwingAlignNode, prepare_aligner, args)
 
 
 if __name__ == "__main__":

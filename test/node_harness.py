@@ -30,8 +30,8 @@ from sins_align.ros.portable_messages import odometer_message, ros_types
 from sins_align.types import ImuSamples, OdometerSamples, Position
 
 ROOT = Path(__file__).resolve().parent.parent
-SWING = "swing_align_ros.node"
-ODO = "odo_align_ros.node"
+SWING = "swing_align_ros"
+ODO = "odo_align_ros"
 SYNTH = "sins_align.ros.synth_node"
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -153,7 +153,7 @@ class Player:
     ----------
     node : name of the node that takes them, with its namespace
     odom_type : the odometer's message type, None: no odometer
-    position : sent on /fix with the first sample of every `play`; None: no fix
+    position : sent as a fix with the first sample of every `play`; None: no fix
     """
 
     WINDOW = 100
@@ -166,6 +166,7 @@ class Player:
         odom_topic: str = "/odom",
         odom_type: str | None = None,
         position: Position | None = None,
+        fix_topic: str = "/fix",
     ) -> None:
         self._observer = observer
         self._imu = observer.node.create_publisher(Imu, imu_topic, 2000)
@@ -177,7 +178,7 @@ class Player:
             self._odom = observer.node.create_publisher(ros_types(self._odom_type), odom_topic, 200)
             self._publishers.append(self._odom)
         if position is not None:
-            self._fix = observer.node.create_publisher(NavSatFix, "/fix", 10)
+            self._fix = observer.node.create_publisher(NavSatFix, fix_topic, 10)
             self._publishers.append(self._fix)
         # Not latched: what was taken before is of no interest here.
         self._taken: list[Time] = []

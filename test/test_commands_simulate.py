@@ -61,6 +61,26 @@ def test_bag_and_truth(simulate: Any, tmp_path: Path) -> None:
     assert json.loads((out / "truth.json").read_text()) == expected.truth.truth_dict()
 
 
+def test_bag_of_a_swing_that_drives_off(simulate: Any, tmp_path: Path) -> None:
+    out = tmp_path / "bag"
+    options = [
+        "--drive-m", 20, "--drive-start", 0.5, "--drive-duration", 2, "--drive-azimuth-deg", 40,
+        "--drive-shake-m-s2", 0.3,
+    ]  # fmt: skip
+    assert simulate(*SHORT, *options, "--out", out)[0] == 0
+    expected = simulate_swing(
+        SwingOptions(
+            grade="rlg", rate_hz=50.0, duration_s=3.0, drive_m=20.0, drive_start_s=0.5,
+            drive_duration_s=2.0, drive_azimuth_deg=40.0, drive_shake_m_s2=0.3,
+        )
+    )  # fmt: skip
+    with open_bag([out]) as bag:
+        (samples,) = bag.read_imu("/imu")
+    np.testing.assert_array_equal(samples.f_ib_b, expected.imu.f_ib_b)
+    begin, end = json.loads((out / "truth.json").read_text())["drive_stamp_ns"]
+    assert (begin - samples.stamp_ns[0], end - begin) == (500_000_000, 2_000_000_000)
+
+
 @pytest.mark.parametrize("odom_type", ODOM_TYPES)
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_bag_of_a_vehicle(simulate: Any, tmp_path: Path, odom_type: str, storage: str) -> None:
@@ -136,6 +156,9 @@ def test_every_setting_of_the_simulator_is_an_option(
         ([*SHORT, "--out", "OUT", "--seed", "1.5"], "seed"),
         (["swing", "--rate", "1e5", "--duration", "1e6", "--out", "OUT"], "1e+11 samples"),
         ([*SHORT, "--out", "OUT", "--jitter", "0.5"], "stamp_jitter_s"),
+        ([*SHORT, "--out", "OUT", "--drive-m", "10"], "drive_start_s"),
+        ([*SHORT, "--out", "OUT", "--drive-m", "2000"], "drive_m"),
+        ([*SHORT, "--out", "OUT", "--drive-shake-m-s2", "-1"], "drive_shake_m_s2"),
         ([*SHORT, "--out", "OUT", "--storage", "tape"], "tape"),
         ([*SHORT, "--out", "."], "exists"),
         ([*SHORT, "--out", "/dev/null/x"], "/dev/null/x"),

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evidence import odo, odo_data, odo_methods, odo_paper, swing
+from evidence import odo, odo_data, odo_methods, odo_paper, status, swing
 from evidence.checks import Check, upper
 from evidence.odo_figures import below_since, divergence, heading_errors, nees, rows
 from evidence.odo_recording import RecordedSession, Start
@@ -29,6 +29,7 @@ SECTIONS = (
     *odo_methods.SECTIONS,
     *odo_paper.SECTIONS,
     *odo_data.SECTIONS,
+    *status.SECTIONS,
 )
 
 

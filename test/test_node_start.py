@@ -1,12 +1,9 @@
-"""Start and end of the nodes: parameters, signals, executors, position, breaks."""
+"""Start of the nodes: parameters, position, breaks."""
 
 from __future__ import annotations
 
-import json
 import math
-import signal
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,14 +12,10 @@ pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from node_harness import SWING, SYNTH, Observer, arguments, observing, run_module, running, stop
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
+from node_harness import SWING, SYNTH, Observer, arguments, observing, run_module, running
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix
 
-from sins_align.config_path import shipped_config
-from sins_align.parameters import parameters_of
 from sins_align.ros.cdr import encode_imu
 from sins_align.ros.messages import fix_message
 from sins_align.simulate import SwingOptions, simulate_swing
@@ -50,6 +43,7 @@ def wait_until_up(observer: Observer) -> None:
         (SWING, "lever_arm_prior_m:=[1.0, 2.0]", ["lever_arm_prior_m", "3"]),
         (SWING, "holds_s:=3.0", ["holds_s", "unknown"]),
         (SWING, "result_file:=/dev/null/result.json", ["/dev/null/result.json"]),
+        (SWING, "initial_result_file:=/dev/null", ["initial_result_file", "/dev/null", "JSON"]),
         (SYNTH, "truth_file:=/dev/null/truth.json", ["/dev/null/truth.json"]),
         (SYNTH, "scenario:=storm", ["scenario", "storm", "still"]),
         (SYNTH, "jitter_s:=0.5", ["stamp_jitter_s"]),
@@ -76,85 +70,6 @@ def test_a_missing_subscriber_is_one_line_and_status_1() -> None:
     )
     assert done.returncode == 1
     assert "0 of 1 subscribers" in done.stderr
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_ends_with_status_0_and_the_result(number: int, tmp_path: Path) -> None:
-    result = tmp_path / "result.json"
-    with observing() as observer, running(
-        SWING, *arguments({"result_file": result}), log=tmp_path / "log"
-    ) as node:  # fmt: skip
-        wait_until_up(observer)
-        assert stop(node, number) == 0
-    assert "Traceback" not in (tmp_path / "log").read_text()
-    document = json.loads(result.read_text())
-    assert (document["schema"], document["state"]) == (1, "waiting")
-    assert "latitude" in document["reason"]
-
-
-def test_signal_while_samples_come_with_the_events_executor(tmp_path: Path) -> None:
-    node = {
-        "executor": "events", "latitude_deg": 40, "result_file": tmp_path / "result.json",
-        "qos_overrides./imu.subscription.depth": 5000,
-    }  # fmt: skip
-    synth = {"rate": 200.0, "duration_s": 60.0, "grade": "perfect"}
-    with (
-        observing() as observer,
-        running(SWING, *arguments(node), log=tmp_path / "node") as process,
-        running(SYNTH, *arguments(synth), log=tmp_path / "synth") as player,
-    ):
-        wait_until_up(observer)
-        observer.wait(lambda: float(diagnostics(observer)["elapsed_s"]) >= 2.0, "samples")
-        assert stop(process, signal.SIGTERM) == 0
-        assert stop(player, signal.SIGINT) == 0
-    for name in ("node", "synth"):
-        assert "Traceback" not in (tmp_path / name).read_text()
-    document = json.loads((tmp_path / "result.json").read_text())
-    assert document["input"]["imu_samples"] > 400
-    assert document["input"]["imu_gaps"] == 0
-
-
-@pytest.fixture(scope="module")
-def parameter_services(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """An idle node, started from the shipped parameter file, and its parameter services."""
-    log = tmp_path_factory.mktemp("parameters") / "log"
-    file = str(shipped_config("swing_align.yaml"))
-    with observing() as observer, running(SWING, "--ros-args", "--params-file", file, log=log):
-        wait_until_up(observer)
-        yield observer
-
-
-def test_parameters_are_described_and_read_only(parameter_services: Observer) -> None:
-    table = parameters_of("swing_align")
-    listed = parameter_services.call(ListParameters, "/swing_align/list_parameters")
-    assert set(table) <= set(listed.result.names)
-    names = [name for name in listed.result.names if name in table]
-    answer = parameter_services.call(
-        DescribeParameters,
-        "/swing_align/describe_parameters",
-        DescribeParameters.Request(names=names),
-    )
-    for descriptor in answer.descriptors:
-        entry = table[descriptor.name]
-        assert descriptor.description == entry.description
-        assert descriptor.read_only
-        assert descriptor.additional_constraints == entry.range_text()
-        number = isinstance(entry.default, float) and not math.isnan(entry.default)
-        if number and math.isfinite(entry.low):
-            (bounds,) = descriptor.floating_point_range
-            assert (bounds.from_value, bounds.to_value) == (entry.low, entry.high)
-
-
-def test_a_change_at_run_time_is_refused_with_a_reason(parameter_services: Observer) -> None:
-    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=3.0)
-    answer = parameter_services.call(
-        SetParameters,
-        "/swing_align/set_parameters",
-        SetParameters.Request(parameters=[Parameter(name="hold_s", value=value)]),
-    )
-    (result,) = answer.results
-    assert not result.successful
-    assert "read-only" in result.reason
 
 
 def test_position_comes_from_the_fix_and_a_gap_begins_anew(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ def test_it_does_not_matter_when_the_odometer_comes_within_the_timeout(
     )
     assert prompt["input"]["odom_samples"] == len(stamps)
     assert early == prompt == late
-    assert (too_late["state"], too_late["q_nb_wxyz"]) == ("coarse", None)
+    assert (too_late["state"], too_late["q_nb_wxyz"]) == ("waiting", None)
 
 
 def test_a_part_of_the_bag(replay: Any, bag: Path, drive: VehicleRun) -> None:

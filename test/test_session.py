@@ -14,8 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sins_align.config import SwingConfig, swing_config
-from sins_align.session import Session, Update, is_sound
+from sins_align.session import Session, Update
 from sins_align.simulate import SwingOptions, simulate_swing
+from sins_align.soundness import is_sound
 from sins_align.types import Advance, Estimate, ImuBlock, ImuSamples, ImuSampling, Position, State
 from sins_align.units import DEG
 
@@ -263,6 +264,7 @@ def test_the_waiting_state_says_what_it_waits_for() -> None:
     assert (session.status.state, session.status.reason) == (State.WAITING, "no IMU data")
     assert session.imu_rate_hz is None
     session.add_imu(imu().select(slice(0, 50)))
+    assert (session.status.state, session.status.keys) == (State.WAITING, ("levelling",))
     stuck = Session(CONFIG)
     ones = copied(imu().select(slice(0, 200)))
     ones.stamp_ns[...] = 0
@@ -270,7 +272,9 @@ def test_the_waiting_state_says_what_it_waits_for() -> None:
     assert stuck.status.reason == "199 of 200 IMU samples refused"
     assert "stamps" in stuck.status.remedy
     stuck.restart("again")
-    assert (stuck.status.reason, stuck.status.remedy) == ("again", "")
+    assert stuck.status.state is State.WAITING
+    assert stuck.status.reason == "no IMU data; began anew: again"
+    assert "refused" not in stuck.status.reason and "topic imu" in stuck.status.remedy
 
 
 @pytest.mark.parametrize("rate_hz", [2.5, 5.0, 7.0])
@@ -408,7 +412,8 @@ def test_restart_forgets_all_but_the_counts() -> None:
     session.restart()
     assert session.estimate is None
     assert (session.restarts, session.begin_reason) == (1, "restarted on request")
-    assert (session.status.state, session.status.reason) == (State.WAITING, "restarted on request")
+    assert session.status.state is State.WAITING
+    assert session.status.reason == "no IMU data; began anew: restarted on request"
     samples = shifted(imu(seed=9), 1000 * SECOND)
     session.add_imu(samples)
     expected, _ = run(samples)
@@ -525,12 +530,57 @@ def test_what_is_sound() -> None:
     assert not is_sound(dataclasses.replace(good, q_nb=np.full(4, math.nan)))
 
 
-@pytest.mark.parametrize("factor", [0.0, 1.0 / 9.80665, 2.0])
-def test_a_force_that_is_not_gravity_is_told(factor: float) -> None:
+@pytest.mark.parametrize(
+    ("factor", "key", "size", "helps"),
+    [
+        (0.0, "gravity_removed", "0 m/s^2", "gravity included"),
+        (1.0 / 9.80665, "force_in_g", "in g, not in m/s^2", "multiply by 9.80665"),
+        (0.5, "gravity_removed", "4.87 m/s^2", "gravity included"),
+        (2.0, "force_size", "19.5 m/s^2", "units and scale"),
+    ],
+)
+def test_a_force_that_is_not_gravity_is_told(
+    factor: float, key: str, size: str, helps: str
+) -> None:
     """In g, with gravity removed, or doubled: refused by name, and never an attitude."""
     samples = imu(duration_s=20.0)
     wrong = ImuSamples(samples.stamp_ns, samples.w_ib_b, factor * samples.f_ib_b)
     session, updates = run(wrong)
     assert session.estimate is None
     assert updates and all(u.status.state is State.FAILED for u in updates)
-    assert "m/s^2" in session.status.reason and "gravity" in session.status.remedy
+    assert all(u.status.keys == (key,) for u in updates)
+    assert size in session.status.reason and helps in session.status.remedy
+    assert "gravity" in session.status.reason + session.status.remedy
+    # Mended on the way, it begins by itself.
+    session.add_imu(shifted(imu(), 20 * SECOND + 10_000_000))
+    assert session.status.state in (State.COARSE, State.FINE)
+    assert session.estimate is not None
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_other_thresholds_count_from_the_next_estimate_on_and_lose_nothing(restart: bool) -> None:
+    strict, loose = config(heading_threshold_arcmin=1e-5), config(
+        heading_threshold_arcmin=600.0, level_threshold_arcsec=600.0, hold_s=1.0
+    )  # fmt: skip
+    samples = imu(duration_s=30.0)
+    changed, always = Session(strict), Session(loose)
+    for session in (changed, always):
+        session.add_imu(samples.select(slice(0, 2000)))
+    assert changed.status.state is State.FINE
+    assert "not below 1e-05'" in changed.status.reason
+    changed.set_completion(loose.completion)
+    assert changed.config.completion == loose.completion
+    if restart:
+        for session in (changed, always):
+            session.restart()
+        samples = shifted(samples, 60 * SECOND)
+    rest = samples.select(slice(0 if restart else 2000, None))
+    found, expected = changed.add_imu(rest), always.add_imu(rest)
+    assert found[-1].status.state is expected[-1].status.state is State.ALIGNED
+    for one, other in zip(found, expected, strict=True):
+        if one.estimate is not None and other.estimate is not None:
+            np.testing.assert_array_equal(one.estimate.q_nb, other.estimate.q_nb)
+    changed.set_completion(strict.completion)
+    more = changed.add_imu(shifted(samples.select(slice(1, 1600)), 30 * SECOND))
+    assert more[-1].status.state is not State.ALIGNED
+    assert more[-1].status.aligned_at_s is None

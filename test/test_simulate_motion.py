@@ -5,6 +5,20 @@ import math
 
 import numpy as np
 import pytest
+from motion_differences import (
+    ACCELERATION_TOLERANCE,
+    BUSY,
+    DRIVE,
+    FIRST,
+    FORCE_TOLERANCE,
+    RATE_TOLERANCE,
+    SECOND,
+    base_of,
+    differentiate,
+    earth_turn,
+    inertial_position,
+    stencil,
+)
 from scipy.integrate import cumulative_simpson
 from scipy.spatial.transform import Rotation
 
@@ -14,66 +28,13 @@ from sins_align.simulate.base_motion import BaseMotion
 from sins_align.simulate.geodesy import EARTH_RATE, plumb_gravity
 from sins_align.simulate.random_streams import random_streams
 from sins_align.simulate.scenarios import C_RFU_FLU, ErectCone, find_scenario
-from sins_align.simulate.swing import swing_base
 from sins_align.types import Array
 
 DEG = math.pi / 180.0
 MICRO_RAD = 1e-6
-# Errors of central differences of 8th order with steps of 30 ms: rounding 1e-16 / step for
-# a first derivative of values near 1, 1e-15 / step^2 for a second one of metres.
-RATE_TOLERANCE = 1e-13
-ACCELERATION_TOLERANCE = 1e-13
-FORCE_TOLERANCE = 5e-11
-
-STEP = 0.03
-FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
 # Before, within and after the turn, away from its ends, where the polynomial changes.
 TIMES = np.array([0.0, 3.3, 21.0, 24.9, 30.0, 33.7, 39.0, 47.7])
-
-BUSY = SwingOptions(
-    scenario="pitch",
-    grade="perfect",
-    seed=3,
-    duration_s=60.0,
-    latitude_deg=35.0,
-    heading_deg=100.0,
-    turn_deg=-150.0,
-    turn_start_s=20.0,
-    turn_duration_s=20.0,
-    heave_m=0.3,
-    sway_m=0.2,
-    sway_azimuth_deg=30.0,
-    lever_arm_m=(1.0, -2.0, 3.0),
-)
 MOTIONS = [*SCENARIOS, SingleAxisSwing(axis="y"), SingleAxisSwing(axis="z", amplitude_deg=20.0)]
-
-
-def base_of(options: SwingOptions) -> BaseMotion:
-    return swing_base(options, random_streams(options.seed))
-
-
-def stencil(t: Array) -> Array:
-    """(9 N,) the times of a central difference around each of t (N,)."""
-    return (t + STEP * np.arange(-4, 5)[:, np.newaxis]).ravel()
-
-
-def differentiate(values: Array, weights: Array, order: int) -> Array:
-    """(..., N) derivative of the values (..., 9 N) at the stencil."""
-    return np.einsum("k,...kn->...n", weights, values.reshape(*values.shape[:-1], 9, -1)) / (
-        STEP**order
-    )
-
-
-def earth_turn(base: BaseMotion, t: Array) -> Array:
-    """(N, 3, 3) n to the inertial axes that n has at 0 s."""
-    return Rotation.from_rotvec(np.outer(t, base.w_ie_n)).as_matrix()
-
-
-def inertial_position(base: BaseMotion, t: Array) -> Array:
-    """(3, N) IMU from the origin of n, in the inertial axes that n has at 0 s."""
-    in_n = base.centre_position(t) + np.einsum("ijn,j->in", base.attitude(t).C_nb, base.r_b)
-    return np.einsum("nij,jn->in", earth_turn(base, t), in_n)
 
 
 @pytest.fixture(params=MOTIONS, ids=lambda m: m if isinstance(m, str) else f"{m.name}_{m.axis}")
@@ -247,10 +208,12 @@ def test_mean_sampling_is_the_mean(scenario: str) -> None:
         np.testing.assert_allclose(run.imu.f_ib_b[:, sample], f.mean(axis=1), atol=1e-10)
 
 
-@pytest.mark.parametrize("scenario", ["pitch", "erect"])
-def test_inertial_integration_closes(scenario: str) -> None:
+@pytest.mark.parametrize(
+    ("scenario", "drive"), [("pitch", {}), ("erect", {}), ("pitch", {**DRIVE, "drive_m": 300.0})]
+)
+def test_inertial_integration_closes(scenario: str, drive: dict[str, float]) -> None:
     """60 s of pure inertial navigation find the attitude and the place of the IMU again."""
-    options = dataclasses.replace(BUSY, scenario=scenario, rate_hz=1000.0)
+    options = dataclasses.replace(BUSY, scenario=scenario, rate_hz=1000.0, **drive)
     base = base_of(options)
     imu = simulate_swing(options).imu
     turns = simulate_swing(dataclasses.replace(options, sampling="mean")).imu.w_ib_b.T * 1e-3

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from sins_align.grades import ImuGrade
 from sins_align.simulate import SCENARIOS, SingleAxisSwing, SwingOptions, SwingRun, simulate_swing
+from sins_align.simulate.random_streams import random_streams
 from sins_align.types import ImuSamples, ImuSampling
 
 SHORT = SwingOptions(duration_s=20.0, grade="fog", seed=5)
@@ -50,6 +51,7 @@ def test_another_seed_other_numbers() -> None:
     [
         {"heave_m": 0.2, "sway_m": 0.1},
         {"turn_deg": 90.0, "turn_duration_s": 10.0},
+        {"drive_m": 50.0, "drive_duration_s": 10.0, "drive_shake_m_s2": 0.3},
         {"scenario": "erect"},
         {"sampling": "mean"},
         {"stamp_jitter_s": 1e-5},
@@ -65,6 +67,12 @@ def test_other_options_keep_the_noise(changes: dict[str, object]) -> None:
 
     for plain, changed in zip(noise(), noise(**changes), strict=True):
         np.testing.assert_allclose(changed, plain, rtol=0, atol=2e-14)
+
+
+@pytest.mark.parametrize(("purpose", "position"), [("attitude_phases", 0), ("vehicle_course", 23)])
+def test_a_new_purpose_leaves_the_old_streams(purpose: str, position: int) -> None:
+    expected = np.random.default_rng(np.random.SeedSequence(7, spawn_key=(position,)))
+    assert random_streams(7)[purpose].integers(2**62) == expected.integers(2**62)
 
 
 def test_grade_keeps_the_motion() -> None:
@@ -126,7 +134,7 @@ def test_truth_dict_is_what_the_interface_says() -> None:
     assert list(content) == [
         "q_nb_wxyz", "stamp_ns", "lever_arm_m", "latitude_deg", "longitude_deg", "altitude_m",
         "gyro_bias_rad_s", "accel_bias_m_s2", "odometer_scale_error", "seed", "scenario", "grade",
-        "rate_hz", "sampling", "paper_axes",
+        "rate_hz", "sampling", "paper_axes", "drive_stamp_ns",
     ]  # fmt: skip
     assert content["stamp_ns"] == BEGIN + 20_000_000_000
     assert content["scenario"] == "erect"
@@ -185,6 +193,15 @@ def test_sampling_takes_the_enumeration() -> None:
         ("heave_m", math.nan),
         ("heave_period_s", 0.0),
         ("sway_period_s", -3.0),
+        ("drive_m", -1.0),
+        ("drive_m", 1001.0),
+        ("drive_m", math.nan),
+        ("drive_duration_s", 0.0),
+        ("drive_duration_s", math.inf),
+        ("drive_azimuth_deg", math.nan),
+        ("drive_shake_m_s2", -0.1),
+        ("drive_shake_m_s2", math.nan),
+        ("drive_shake_m_s2", 101.0),
         ("lost_fraction", 1.0),
         ("lost_fraction", -0.1),
         ("stamp_jitter_s", 0.002),

@@ -12,6 +12,7 @@ from sins_align.limits import heading_limit
 from sins_align.odo.doubts import Doubts
 from sins_align.odo.epoch import AidedEpoch, integrate_epoch
 from sins_align.odo.filter import AidedFilter
+from sins_align.odo.foresight import Foresight
 from sins_align.odo.knowledge import Knowledge, carry_attitude, knowledge_of
 from sins_align.odo.large_azimuth import LargeAzimuthFilter, start_sigma
 from sins_align.odo.methods import (
@@ -100,6 +101,7 @@ class OdoAligner:
         # The wander filter comes first; one with a large azimuth error follows, if asked for.
         self._wander: WanderFilter | None = None
         self._large: LargeAzimuthFilter | None = None
+        self._foresight = Foresight()
         self._known: Knowledge | None = None  # of the filter that is given out
         self._witness: Witness | None = None
 
@@ -192,6 +194,8 @@ class OdoAligner:
                 self._detector.note(epoch, stands)
             else:
                 filter_.process(epoch, standing)
+        if self._wander is not None:
+            self._foresight.add(self._wander)
         return stands
 
     def _integrate(self, filter_: AidedFilter, paired: Paired, delay: float) -> AidedEpoch:
@@ -261,10 +265,16 @@ class OdoAligner:
         return self._estimate
 
     def foresee(self, heading: float) -> float:
-        """See `Aligner`."""
+        """See `Aligner`; by the wander filter, and NaN where there is none."""
         if self._estimate is not None and self._estimate.sigma[2] < heading:
             return 0.0
-        return math.nan
+        if self._wander is None or self._is_polar:
+            return math.nan
+        return self._foresight.time_until(self._wander, heading)
+
+    def next_step(self, ahead_s: float) -> float:
+        """See `Aligner`: steps are a second or two apart."""
+        return ahead_s
 
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside."""

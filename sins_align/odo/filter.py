@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,12 +63,27 @@ _POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
 _GAP_INDEX = np.r_[PHI, VELOCITY]
 
 
+class Step(NamedTuple):
+    """What an epoch did to the covariance: see `process`.
+
+    duration_s : its length; A : (n + 3, n), Q : (n + 3, n + 3) transition and its noise
+    H, R : (3, n + 3), (3, 3) measurement and its noise; H is zero where nothing was measured
+    """
+
+    duration_s: float
+    A: Array
+    Q: Array
+    H: Array
+    R: Array
+
+
 class AidedFilter(ABC):
     """State of a filter, from the start of an epoch on.
 
     navigation, odometer, sensors : the estimates; P : (n, n) covariance of their errors
     consistency : mean normalised innovation squared over its expectation, of late
     nis, epochs : that of the last epoch measured, and how many epochs it has taken in
+    step : what the last epoch did to P; None before there is one
 
     Parameters
     ----------
@@ -90,9 +106,11 @@ class AidedFilter(ABC):
         self.consistency = math.nan
         self.nis = 0.0
         self.epochs = 0
+        self.step: Step | None = None
         self._size, self._path = size, path_of(size)
         self._model = ErrorModel(imu_noise(grade), size)
         self._fading = fading
+        self._A = np.zeros((size + 3, size))  # transition of the last epoch
         self._length: LengthError | None = None  # of the Earth's horizontal part, once imposed
 
     @property
@@ -163,6 +181,9 @@ class AidedFilter(ABC):
         if not (stands or epoch.travel is not None) or epoch.gap_s >= LONG_GAP_S:
             self.P = forecast.P[: self._size, : self._size].copy()
             self._correct(forecast.mean[: self._size])
+            self.step = Step(
+                epoch.duration_s, self._A, forecast.Q, np.zeros((3, self._size + 3)), _EYE
+            )
             return stands
         turn = course.w_ia * epoch.duration_s
         seen = odometer.measure(epoch, C_start, navigation.C_ab, course.path, turn, stands)
@@ -170,6 +191,7 @@ class AidedFilter(ABC):
         H[:, PHI] = skew3(seen.arm)
         H[:, ODOMETER] = seen.H
         H[:, self._path] = _EYE
+        self.step = Step(epoch.duration_s, self._A, forecast.Q, H, seen.R)
         travel = None if stands else epoch.travel
         distance = 0.0 if travel is None else travel.distance
         residual = seen.residual - position
@@ -194,6 +216,7 @@ class AidedFilter(ABC):
             P = self.P.copy()
             P[_GAP_INDEX, _GAP_INDEX] += gap_noise(epoch)
             self.P = P
+        self._A = A
         mean, P = self._propagate(A, course)
         Q = self._model.noise(T).copy()
         Q[_ODOMETER_INDEX, _ODOMETER_INDEX] += added

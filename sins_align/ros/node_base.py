@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -13,7 +12,6 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -22,7 +20,7 @@ from sensor_msgs.msg import Imu, NavSatFix
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from sins_align.parameters import parameters_of
+from sins_align.config import completion_of
 from sins_align.reasons import IMU_SILENT, NO_IMU, Finding, Kind
 from sins_align.ros import messages
 from sins_align.ros.command import error_text
@@ -30,11 +28,11 @@ from sins_align.ros.diagnostics import diagnostic_status, key_values
 from sins_align.ros.eta import EtaClock
 from sins_align.ros.fix import position_from_fix
 from sins_align.ros.imu_inbox import ImuInbox, SilenceWatch
-from sins_align.ros.node_parameters import declare_parameters
+from sins_align.ros.parameter_node import ParameterNode
 from sins_align.ros.portable_messages import pose_message, ros_types
 from sins_align.ros.pose import latched_poses
 from sins_align.ros.publish_grid import PublishGrid, find_sample
-from sins_align.ros.result import Timing, check_target, result_document, write_result
+from sins_align.ros.result_file import ResultFile
 from sins_align.session import Session, Update
 from sins_align.types import Estimate, ImuSamples, State, Status
 
@@ -49,7 +47,7 @@ OUTPUT_QOS = QoSProfile(depth=25)
 FLUSH_S = 0.1  # no sample waits longer for the next one
 
 
-class AlignNode(Node):
+class AlignNode(ParameterNode):
     """A node around a `Session`.
 
     The payloads of `imu` are kept as they come and decoded many at a time, when an output
@@ -74,23 +72,14 @@ class AlignNode(Node):
         make_session: Callable[[dict[str, Any]], Session],
         pose_topic: str,
     ) -> None:
-        super().__init__(node_name, automatically_declare_parameters_from_overrides=True)
-        self._kind = node_name  # the node itself may have been given another name
+        super().__init__(node_name)
         self._pose_topic = pose_topic
-        values: dict[str, Any] = declare_parameters(self, parameters_of(node_name))
-        self.values = values
-        self.executor_kind: str = values["executor"]
-        self._nav_frame: str = values["nav_frame"]
-        self._result_file: str = values["result_file"]
-        if self._result_file:  # known now, not when the alignment is done
-            check_target(Path(self._result_file))
-        self.session = make_session(values)
-        self._grid = PublishGrid(values["publish_rate_hz"])
+        self.executor_kind: str = self.values["executor"]
+        self.session = make_session(self.values)
+        self._result = ResultFile(node_name, self.values["result_file"])
+        self._grid = PublishGrid(self.values["publish_rate_hz"])
         self._inbox = ImuInbox()
         self._frames_warned = False
-        self._published_ns = 0
-        self._begun = time.monotonic()
-        self._estimate_s = 0.0
         self._silence = SilenceWatch()
         self._eta = EtaClock()
         self._logged_state = self.session.status.state
@@ -157,6 +146,17 @@ class AlignNode(Node):
             if self.context.ok():
                 raise
 
+    def use_changed(self, changed: dict[str, Any]) -> None:
+        """Nothing is lost: what has come goes on to count."""
+        self._flush()
+        self.session.set_completion(completion_of(self.values), self.values["latitude_check"])
+        if "publish_rate_hz" in changed:
+            self._grid = PublishGrid(changed["publish_rate_hz"])
+        if "result_file" in changed:
+            self._result.set_path(changed["result_file"])
+            if self._aligned:
+                self._save()
+
     def take_in_aiding(self) -> list[Update]:
         """Hand over what has come beside the IMU. Nothing here; for a node's own inputs."""
         return []
@@ -170,10 +170,11 @@ class AlignNode(Node):
         return {}
 
     def _on_imu(self, payload: bytes) -> None:
-        if self._grid.reached(self._inbox.put(payload)):
+        stamp_ns = self._inbox.put(payload)
+        if self._grid.reached(stamp_ns):
             samples = self._flush()
             if samples is not None:
-                self._publish_attitude(samples)
+                self._publish_attitude(samples, stamp_ns)
 
     def _flush(self) -> ImuSamples | None:
         """Hand what has come to the session; the IMU samples of it, None where there are none."""
@@ -183,7 +184,7 @@ class AlignNode(Node):
         updates = self.take_in_aiding()
         if samples is not None:
             updates += self.session.add_imu(samples)
-        self._estimate_s += time.perf_counter() - begin
+        self._result.estimate_s += time.perf_counter() - begin
         for update in updates:
             if update.estimate is not None:
                 self._publish_pose(update.estimate)
@@ -234,17 +235,14 @@ class AlignNode(Node):
         else:
             self.get_logger().info(text)
 
-    def _publish_attitude(self, samples: ImuSamples) -> None:
+    def _publish_attitude(self, samples: ImuSamples, stamp_ns: int) -> None:
         estimate = self.session.estimate
-        if estimate is None or estimate.stamp_ns == self._published_ns:
+        sample = find_sample(samples, stamp_ns, estimate)
+        if estimate is None or sample is None:
             return
-        sample = find_sample(samples, estimate.stamp_ns)
-        if sample is None:
-            return
-        self._published_ns = estimate.stamp_ns
         attitude = messages.attitude_message(estimate, *sample, self._inbox.frame_id)
         self.send(self._attitude, attitude)
-        misalignment = messages.misalignment_message(estimate, self._nav_frame)
+        misalignment = messages.misalignment_message(estimate, self.values["nav_frame"])
         self.send(self._misalignment, misalignment)
 
     def _on_fix(self, fix: NavSatFix) -> None:
@@ -259,6 +257,8 @@ class AlignNode(Node):
 
     def _on_restart(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._flush()
+        if self._aligned:
+            self._save()  # the best of it: this is what stays
         self.session.restart()
         self._announce(self.session.status)
         response.success, response.message = True, "started again"
@@ -266,22 +266,18 @@ class AlignNode(Node):
 
     def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._flush()
-        if not self._result_file:
+        if not self._result.path:
             response.message = "parameter result_file is empty: nowhere to write to"
             return response
         problem = self._save()
         response.success = not problem
-        response.message = problem or f"written to {self._result_file}"
+        response.message = problem or f"written to {self._result.path}"
         return response
 
     def _save(self) -> str:
         """Write the result file, if there is to be one; what went wrong, '' if nothing."""
-        if not self._result_file:
-            return ""
-        timing = Timing(time.monotonic() - self._begun, 0.0, self._estimate_s)
-        document = result_document(self._kind, self.session, self.session.conclusion, timing)
         try:
-            write_result(Path(self._result_file), document)
+            self._result.write(self.session)
         except OSError as error:
             problem = f"result_file could not be written: {error_text(error)}"
             self.get_logger().error(problem)
@@ -289,9 +285,18 @@ class AlignNode(Node):
         return ""
 
     def finish(self) -> None:
-        """Take in what has come and write the result file; works after the shutdown of ROS."""
+        """Take in what has come and write the result file; works after the shutdown of ROS.
+
+        Raises
+        ------
+        OSError : the result file could not be written; names it
+        """
         self._flush()
-        self._save()
+        if not self._result.write_last(self.session):
+            state = self.session.status.state.value
+            self.get_logger().warning(
+                f"{self._result.path} keeps the alignment that was complete; the state is {state}"
+            )
 
     def _publish_diagnostics(self) -> None:
         self._flush()

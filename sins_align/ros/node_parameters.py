@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
 
 from sins_align.grades import ConfigError
 from sins_align.parameters import Parameter, Value
@@ -26,12 +27,13 @@ def given_value(node: Node, parameter: Parameter) -> Value:
 
 
 def declare_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, Any]:
-    """Declare the parameters of `table`, all of them read-only, and return their values.
+    """Declare the parameters of `table`, and return their values.
 
     The node must have been made with automatically_declare_parameters_from_overrides. Its
     overrides are undeclared here and declared again with description and range: so values
     are checked by the table, with the same words as for a replay, a whole number is good
-    for a real one, and a name that is not in the table does not pass unnoticed.
+    for a real one, and a name that is not in the table does not pass unnoticed. Those that
+    cannot change while the node runs are read-only.
 
     Raises
     ------
@@ -51,6 +53,34 @@ def declare_parameters(node: Node, table: Mapping[str, Parameter]) -> dict[str, 
     return values
 
 
+def checked_changes(
+    node: Node, table: Mapping[str, Parameter], changes: Iterable[RosParameter]
+) -> list[RosParameter]:
+    """The parameters that somebody wants to set while the node runs, checked as at its start.
+
+    rclpy itself would refuse a whole number for a real one, and say less of what is wrong.
+    Parameters of ROS's own pass as they are.
+
+    Raises
+    ------
+    ConfigError : unknown name, wrong type, out of range, or cannot change now; names the key
+    """
+    checked = []
+    for change in changes:
+        if not is_ros_parameter(change.name):
+            entry = table.get(change.name)
+            if entry is None:
+                raise ConfigError(f"{change.name}: unknown parameter of {node.get_name()}")
+            if not entry.runtime:
+                raise ConfigError(
+                    f"{change.name}: cannot change while the node runs; restart the node with"
+                    " the new value"
+                )
+            change = RosParameter(change.name, value=entry.check(change.value))
+        checked.append(change)
+    return checked
+
+
 def _is_plain(value: object) -> bool:
     return value is None or isinstance(value, bool | int | float | str)
 
@@ -59,7 +89,7 @@ def _descriptor(entry: Parameter) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         description=entry.description,
         additional_constraints=entry.range_text(),
-        read_only=True,
+        read_only=not entry.runtime,
     )
     default = entry.default
     if isinstance(default, bool | str | list):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sins_align.types import Array, ImuSamples
+from sins_align.types import Array, Estimate, ImuSamples
 
 
 class PublishGrid:
@@ -28,12 +28,16 @@ class PublishGrid:
         return True
 
 
-def find_sample(samples: ImuSamples, stamp_ns: int) -> tuple[Array, Array] | None:
-    """Rate and specific force (3,) of the sample at `stamp_ns`, None where it is not there.
+def find_sample(
+    samples: ImuSamples, stamp_ns: int, estimate: Estimate | None
+) -> tuple[Array, Array] | None:
+    """Rate and specific force (3,) of the sample at `stamp_ns`, for which an output is due.
 
-    It is not where the newest samples were refused, or kept back until the next confirms
-    them.
+    None where the estimate is of another time. So it is where that sample was refused or is
+    kept back until the next confirms it; after a jump of time the estimate is an old one.
     """
+    if estimate is None or estimate.stamp_ns != stamp_ns:
+        return None
     found = samples.select(samples.stamp_ns == stamp_ns)
     if not len(found) or not np.isfinite(found.w_ib_b + found.f_ib_b).all():
         return None

@@ -60,13 +60,13 @@ class Replay:
             if grid.reached(stamp):
                 part = samples.select(slice(begin, k + 1))
                 self.add(part)
-                self._record(part)
+                self._record(part, stamp)
                 begin = k + 1
         return samples.select(slice(begin, None))
 
-    def _record(self, samples: ImuSamples) -> None:
+    def _record(self, samples: ImuSamples, stamp_ns: int) -> None:
         estimate = self.session.estimate
-        sample = None if estimate is None else find_sample(samples, estimate.stamp_ns)
+        sample = find_sample(samples, stamp_ns, estimate)
         if estimate is not None and sample is not None:
             self.records.append(AttitudeRecord(estimate, *sample))
 

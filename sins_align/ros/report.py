@@ -15,10 +15,10 @@ from sins_align.ros.result import (
     odometer_lever_sigma,
     roll_pitch_heading,
     roll_pitch_heading_sigma,
-    write_text_whole,
 )
 from sins_align.ros.result_table import HEAD, footer, result_rows, verdict
 from sins_align.ros.truth import Truth
+from sins_align.ros.whole_file import write_text_whole
 from sins_align.session import Update
 from sins_align.types import Array, Estimate, OdometerEstimate
 from sins_align.units import ARCMIN, DEG

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import math
-import os
-import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
+from sins_align.ros.whole_file import write_text_whole
 from sins_align.session import Session
+from sins_align.stored import SCHEMA
 from sins_align.types import Array, Estimate, InputCounts, OdometerEstimate, State
 from sins_align.units import ARCMIN, DEG
-
-SCHEMA = 1
 
 
 @dataclass(frozen=True)
@@ -206,69 +202,6 @@ def _numbers(values: Any) -> list[Any]:
 def result_text(document: dict[str, Any]) -> str:
     """The document as the text of result.json."""
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
-
-
-def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file whole or not at all: to a temporary name beside it, then renamed.
-
-    A device or a pipe is written to as it is, and of a link the file it leads to.
-
-    Raises
-    ------
-    OSError : the folder is missing or not writable, or the disk is full; names `path`
-    """
-    try:
-        if _is_stream(path):
-            with path.open("wb") as file:
-                write(file)
-        else:
-            _write_and_rename(Path(os.path.realpath(path)), write)
-    except OSError as error:  # of the temporary file, whose name says nothing to anybody
-        raise OSError(error.errno, error.strerror, str(path)) from None
-
-
-def _write_and_rename(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    descriptor, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        mask = os.umask(0)  # mkstemp makes the file private; give it the usual mode
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
-
-
-def _is_stream(path: Path) -> bool:
-    """True for what must not be replaced by a file: /dev/null, a terminal, a pipe."""
-    return path.exists() and not path.is_file() and not path.is_dir()
-
-
-def check_target(path: Path) -> None:
-    """Find out before a long run whether `path` can be written.
-
-    Raises
-    ------
-    OSError : as `write_whole`
-    """
-    if _is_stream(path):
-        return
-    try:
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        with tempfile.TemporaryFile(dir=os.path.dirname(os.path.realpath(path))):
-            pass
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from None
-
-
-def write_text_whole(path: Path, text: str) -> None:
-    """`write_whole` for a text, in UTF-8."""
-    write_whole(path, lambda file: file.write(text.encode()))
 
 
 def write_result(path: Path, document: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -16,8 +16,10 @@ from rclpy.node import Node
 from sins_align.grades import ConfigError
 from sins_align.ros.command import error_text
 from sins_align.ros.node_base import AlignNode, RCLError
+from sins_align.ros.signals import SIGNALS, signals_held
 
 N = TypeVar("N", bound=Node)
+
 
 _UNUSABLE = (
     ConfigError, ParameterException, RCLError, RuntimeError, ValueError, OSError, MemoryError
@@ -27,30 +29,43 @@ _UNUSABLE = (
 def run_node(
     name: str,
     make_node: Callable[[], N],
-    work: Callable[[N], None],
+    prepare: Callable[[N], Callable[[], None]],
     args: Sequence[str] | None = None,
 ) -> int:
     """Make a node and let it work until it is done, or until SIGINT, SIGTERM or a shutdown.
 
+    Parameters
+    ----------
+    name : before an error
+    make_node : called with ROS up
+    prepare : makes of the node the work to do. A signal waits for both, for neither a node
+        nor an executor can be made once ROS is down.
+    args : None: those of the process
+
     Returns
     -------
     0 after work or shutdown; 2 for arguments or parameters that cannot be used and 1 for
-    work that ended with a TimeoutError, each with one line on standard error
+    work that ended with an OSError, a TimeoutError among them; each with one line on standard
+    error
     """
-    # rclpy shuts ROS down at the signal and then calls the handler it found. Python's own
-    # would raise in the middle of whatever is going on, a half-taken sample included.
-    signal.signal(signal.SIGINT, lambda *_: None)
+    # At the signal a thread of rclpy's shuts ROS down, at any moment; the handler that it found
+    # is called too. Python's own would raise in the middle of whatever is going on, a half-taken
+    # sample included.
+    for number in SIGNALS:
+        signal.signal(number, lambda *_: None)
     try:
-        rclpy.init(args=None if args is None else list(args))
-        node = make_node()
+        with signals_held():
+            rclpy.init(args=None if args is None else list(args))
+            node = make_node()
+            work = prepare(node)
     except _UNUSABLE as error:
         rclpy.try_shutdown()
         return _fail(name, error, 2)
     try:
-        work(node)
+        work()
     except ExternalShutdownException:
         pass
-    except TimeoutError as error:
+    except OSError as error:
         return _fail(name, error, 1)
     except RCLError:
         if rclpy.ok():  # else something was published while ROS went down
@@ -58,15 +73,24 @@ def run_node(
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+        # Nothing is left to be stopped, and Python's own exit takes a moment.
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
     return 0
 
 
-def spin_aligner(node: AlignNode) -> None:
-    """Spin until ROS is shut down, then let the node finish."""
-    try:
-        _spin(node, node.executor_kind)
-    finally:
-        node.finish()
+def prepare_aligner(node: AlignNode) -> Callable[[], None]:
+    """What spins the node until ROS is shut down, and then lets it finish."""
+    executor = _make_executor(node.executor_kind)
+    executor.add_node(node)
+
+    def spin() -> None:
+        try:
+            _spin(executor, node.executor_kind)
+        finally:
+            node.finish()
+
+    return spin
 
 
 def _fail(name: str, error: Exception, status: int) -> int:
@@ -77,15 +101,17 @@ def _fail(name: str, error: Exception, status: int) -> int:
     return status
 
 
-def _spin(node: Node, kind: str) -> None:
+def _make_executor(kind: str) -> Any:
     if kind == "single":
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        executor.spin()
-        return
+        return SingleThreadedExecutor()
     from rclpy.experimental import EventsExecutor
 
-    events = EventsExecutor()
-    events.add_node(node)
+    return EventsExecutor()
+
+
+def _spin(executor: Any, kind: str) -> None:
+    if kind == "single":
+        executor.spin()
+        return
     while rclpy.ok():  # its spin() does not return at a signal
-        events.spin_once(timeout_sec=0.2)
+        executor.spin_once(timeout_sec=0.2)

@@ -57,7 +57,7 @@ def _simulate(options: argparse.Namespace) -> int:
     from sins_align.ros.bags_merge import BagError
     from sins_align.ros.bags_topics import odometer_type
     from sins_align.ros.bags_write import ImuBagWriter
-    from sins_align.ros.result import write_text_whole
+    from sins_align.ros.whole_file import write_text_whole
 
     simulation = SIMULATIONS[options.kind]
     values = vars(options)

@@ -70,6 +70,13 @@ SWING_TABLE: Table = {
     "sway_azimuth_deg": _number(
         "sway_azimuth_deg", 90.0, "its direction, clockwise from north"
     ),
+    "drive_m": _positive("drive_m", 0.0, "the swing centre drives so far once, and stops"),
+    "drive_start_s": _positive("drive_start_s", NAN, "when [s]; NaN: in the middle"),
+    "drive_duration_s": _number("drive_duration_s", 30.0, "how long that takes [s]", low=1e-3),
+    "drive_azimuth_deg": _number("drive_azimuth_deg", 0.0, "where to, clockwise from north"),
+    "drive_shake_m_s2": _positive(
+        "drive_shake_m_s2", 0.0, "vibration by the road in the drive, 1 sigma [m/s^2]"
+    ),
 }  # fmt: skip
 
 

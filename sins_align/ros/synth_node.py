@@ -34,9 +34,9 @@ from sins_align.ros.messages import fix_message
 from sins_align.ros.node_parameters import declare_parameters, given_value
 from sins_align.ros.odometer import odometer_rows
 from sins_align.ros.portable_messages import odometer_message, ros_types
-from sins_align.ros.result import write_text_whole
 from sins_align.ros.run_node import run_node
 from sins_align.ros.simulation_options import SIMULATIONS, odometer_of, position_of
+from sins_align.ros.whole_file import write_text_whole
 from sins_align.types import IntArray, OdometerSamples
 
 NAME = "align_synth"
@@ -226,7 +226,7 @@ class SynthNode(Node):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; returns its exit status."""
-    return run_node(NAME, SynthNode, SynthNode.play, args)
+    return run_node(NAME, SynthNode, lambda node: node.play, args)
 
 
 if __name__ == "__main__":

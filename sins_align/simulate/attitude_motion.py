@@ -29,7 +29,7 @@ class Attitude(NamedTuple):
 
 
 class AngleLaw(Protocol):
-    """An angle over time, differentiated by hand."""
+    """An angle over time, differentiated by hand; a displacement likewise, [m] for [rad]."""
 
     def __call__(self, t: Array) -> tuple[Array, Array, Array]:
         """(N,) angle [rad], rate [rad/s] and acceleration [rad/s^2] at the times t [s]."""

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sins_align.simulate.attitude_motion import Attitude, RotationStep, Sinusoid, compose_attitude
+from sins_align.simulate.attitude_motion import (
+    AngleLaw,
+    Attitude,
+    RotationStep,
+    Sinusoid,
+    compose_attitude,
+)
 from sins_align.types import Array
 
 # An interval mean is five-point Gauss-Legendre: exact to the rounding for swings that turn
@@ -27,15 +33,16 @@ class CentreMotion:
     """
 
     direction_n: Array
-    displacement: Sinusoid
+    displacement: AngleLaw
 
 
 @dataclass(frozen=True, eq=False)
 class BaseMotion:
     """The base and the IMU on it.
 
-    n is ENU at the mean position of the swing centre, fixed to the Earth. Gravitation is
-    uniform over the reach of the base (a lever arm of 5 m makes that wrong by 1.5 ug).
+    n is ENU at the mean position of the swing centre, that before a drive, fixed to the Earth.
+    Gravitation is uniform over the reach of the base (a lever arm of 5 m makes that wrong by
+    1.5 ug) and of a drive: `SwingOptions` says what that leaves out.
 
     rotations : chain from n to b
     centre : motions of the swing centre, added up

@@ -18,8 +18,18 @@ _FINITE = (
     "heave_m",
     "sway_m",
     "sway_azimuth_deg",
+    "drive_azimuth_deg",
 )
-_POSITIVE = ("rate_hz", "duration_s", "turn_duration_s", "heave_period_s", "sway_period_s")
+_POSITIVE = (
+    "rate_hz",
+    "duration_s",
+    "turn_duration_s",
+    "heave_period_s",
+    "sway_period_s",
+    "drive_duration_s",
+)
+_LONGEST_DRIVE_M = 1000.0  # a flat Earth is wrong by half an arcminute there
+_STRONGEST_SHAKE_M_S2 = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +47,21 @@ class SwingOptions:
     turn_start_s, turn_duration_s : when; a start of None puts the turn in the middle
     heave_m, heave_period_s : amplitude and period of the vertical motion of the swing centre
     sway_m, sway_period_s, sway_azimuth_deg : likewise horizontally, clockwise from north
+    drive_m : the swing centre drives so far once, straight and level; the swing goes on
+    drive_start_s, drive_duration_s : when; a start of None puts the drive in the middle
+    drive_azimuth_deg : where to, clockwise from north; the attitude does not follow it
+    drive_shake_m_s2 : 1 sigma of the acceleration of the centre by the road, vertically and
+        across, in the middle half of the drive; 1 to 12 Hz, nothing without a drive
     lost_fraction : of the samples, at random; the first and the last one are never lost
     stamp_jitter_s : 1 sigma, cut at 0.45 sampling intervals; the value is that of the true time
     start_stamp_ns : stamp of the first sample, before jitter
+
+    The Earth is flat: n stays that of the place before the drive, and gravity is the same all
+    along (the centrifugal part changes, 0.01 arcsec for 100 m). On the round Earth of radius R
+    the plumb line turns by drive_m / R, 3.2 arcsec for 100 m, and north by that times the sine
+    of the azimuth and the tangent of the latitude; at the speed v the vehicle weighs less by
+    v^2 / R, 2 ug at 10 m/s. All of that is left out, so that the attitude in the truth is that
+    against the level and the north of wherever the base is.
 
     Raises
     ------
@@ -65,6 +87,11 @@ class SwingOptions:
     sway_m: float = 0.0
     sway_period_s: float = 9.0
     sway_azimuth_deg: float = 90.0
+    drive_m: float = 0.0
+    drive_start_s: float | None = None
+    drive_duration_s: float = 30.0
+    drive_azimuth_deg: float = 0.0
+    drive_shake_m_s2: float = 0.0
     lost_fraction: float = 0.0
     stamp_jitter_s: float = 0.0
     start_stamp_ns: int = 1_700_000_000_000_000_000
@@ -100,6 +127,13 @@ class SwingOptions:
             return 0.5 * (self.duration_s - self.turn_duration_s)
         return self.turn_start_s
 
+    @property
+    def drive_begin_s(self) -> float:
+        """When the drive begins [s]."""
+        if self.drive_start_s is None:
+            return 0.5 * (self.duration_s - self.drive_duration_s)
+        return self.drive_start_s
+
     def _check_numbers(self) -> None:
         for name in _FINITE + _POSITIVE:
             if not math.isfinite(getattr(self, name)):
@@ -129,8 +163,20 @@ class SwingOptions:
             )
         if self.duration_s * self.rate_hz < 1.0:
             raise ValueError(f"duration_s: {self.duration_s} is less than a sampling interval")
-        if self.turn_deg != 0.0 and not 0.0 <= self.turn_begin_s < self.duration_s:
+        if self.turn_deg != 0.0:
+            self._check_begin("turn", self.turn_begin_s)
+        for name, limit in (
+            ("drive_m", _LONGEST_DRIVE_M),
+            ("drive_shake_m_s2", _STRONGEST_SHAKE_M_S2),
+        ):
+            if not 0.0 <= getattr(self, name) <= limit:
+                raise ValueError(f"{name}: {getattr(self, name)} is not within 0..{limit:g}")
+        if self.drive_m != 0.0:
+            self._check_begin("drive", self.drive_begin_s)
+
+    def _check_begin(self, what: str, begin_s: float) -> None:
+        if not 0.0 <= begin_s < self.duration_s:
             raise ValueError(
-                f"turn_start_s: the turn would begin at {self.turn_begin_s} s, "
+                f"{what}_start_s: the {what} would begin at {begin_s} s, "
                 f"outside the run of {self.duration_s} s"
             )

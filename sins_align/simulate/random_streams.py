@@ -35,6 +35,7 @@ _PURPOSES = (
     "odometer_outliers",
     "odometer_jitter",
     "vehicle_course",
+    "swing_shake",
 )
 
 

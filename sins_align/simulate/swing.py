@@ -11,6 +11,7 @@ from numpy.random import Generator
 
 from sins_align.simulate.attitude_motion import AxisRotation, Linear, RotationStep, SmoothTurn
 from sins_align.simulate.base_motion import BaseMotion, CentreMotion, harmonic
+from sins_align.simulate.drive import drive_motions
 from sins_align.simulate.geodesy import earth_rate_n, plumb_gravity
 from sins_align.simulate.options import SwingOptions
 from sins_align.simulate.random_streams import random_streams
@@ -84,7 +85,10 @@ def swing_base(options: SwingOptions, streams: Mapping[str, Generator]) -> BaseM
     latitude = math.radians(options.latitude_deg)
     return BaseMotion(
         rotations=(*steps, *scenario.rotations(phases)),
-        centre=_centre_motions(options, streams["centre_phases"]),
+        centre=(
+            *_centre_motions(options, streams["centre_phases"]),
+            *drive_motions(options, streams["swing_shake"]),
+        ),
         r_b=paper_lever_arm(scenario) if lever_arm is None else np.array(lever_arm, dtype=float),
         w_ie_n=earth_rate_n(latitude),
         gravity=plumb_gravity(latitude, options.altitude_m),
@@ -95,14 +99,11 @@ def _centre_motions(options: SwingOptions, stream: Generator) -> tuple[CentreMot
     heave_phase, sway_phase = stream.uniform(0.0, math.tau, 2)
     azimuth = math.radians(options.sway_azimuth_deg)
     horizontal = np.array([math.sin(azimuth), math.cos(azimuth), 0.0])
-    motions = (
-        CentreMotion(
-            np.array([0.0, 0.0, 1.0]),
-            harmonic(options.heave_m, options.heave_period_s, heave_phase),
-        ),
-        CentreMotion(horizontal, harmonic(options.sway_m, options.sway_period_s, sway_phase)),
-    )
-    return tuple(motion for motion in motions if motion.displacement.amplitude != 0.0)
+    up = np.array([0.0, 0.0, 1.0])
+    heave = harmonic(options.heave_m, options.heave_period_s, heave_phase)
+    sway = harmonic(options.sway_m, options.sway_period_s, sway_phase)
+    motions = ((up, heave), (horizontal, sway))
+    return tuple(CentreMotion(n, law) for n, law in motions if law.amplitude != 0.0)
 
 
 def _elapsed_ns(options: SwingOptions) -> IntArray:
@@ -141,6 +142,14 @@ def _truth(
         sampling=options.imu_sampling.value,
         paper_axes=scenario.paper_axes,
         C_paper_b=scenario.C_paper_b,
+        drive_stamp_ns=_drive_stamp_ns(options),
         start_stamp_ns=options.start_stamp_ns,
         base=base,
     )
+
+
+def _drive_stamp_ns(options: SwingOptions) -> tuple[int, int] | None:
+    if options.drive_m == 0.0:
+        return None
+    begin = options.start_stamp_ns + round(1e9 * options.drive_begin_s)
+    return begin, begin + round(1e9 * options.drive_duration_s)

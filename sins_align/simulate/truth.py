@@ -24,6 +24,7 @@ class SwingTruth:
     sampling : 'instantaneous' or 'mean'
     paper_axes : the axes, 'b' or 'b2', in which the paper prints the lever arm
     C_paper_b : (3, 3) from b (FLU) to these
+    drive_stamp_ns : begin and end of the drive, which may lie after the run; None without one
     """
 
     stamp_ns: int
@@ -42,6 +43,7 @@ class SwingTruth:
     sampling: str
     paper_axes: str
     C_paper_b: Array
+    drive_stamp_ns: tuple[int, int] | None
     start_stamp_ns: int = field(repr=False)
     base: BaseMotion = field(repr=False)
 
@@ -64,8 +66,8 @@ class SwingTruth:
     def truth_dict(self) -> dict[str, object]:
         """The content of truth.json, plain numbers and lists.
 
-        Beside the keys that INTERFACES.md fixes: `sampling`, and `paper_axes` with the name
-        and the matrix (from b, FLU) of the axes of the paper's tables.
+        Beside the keys that INTERFACES.md fixes: `sampling`, `paper_axes` with the name and
+        the matrix (from b, FLU) of the axes of the paper's tables, and `drive_stamp_ns`.
         """
         return {
             "q_nb_wxyz": self.q_nb_wxyz.tolist(),
@@ -83,6 +85,7 @@ class SwingTruth:
             "rate_hz": self.rate_hz,
             "sampling": self.sampling,
             "paper_axes": {"name": self.paper_axes, "C_paper_b": self.C_paper_b.tolist()},
+            "drive_stamp_ns": list(self.drive_stamp_ns) if self.drive_stamp_ns else None,
         }
 
 

@@ -34,12 +34,10 @@ class Checks:
     Parameters
     ----------
     gravity, noise : models of the filter
-    with_latitude : whether the latitude is to be found
     """
 
-    def __init__(self, gravity: GravityModel, noise: NoiseModel, with_latitude: bool) -> None:
+    def __init__(self, gravity: GravityModel, noise: NoiseModel) -> None:
         self._gravity = gravity
-        self._with_latitude = with_latitude
         self._fit = VelocityFit(gravity, noise)
         self._steadiness = Steadiness()
 
@@ -47,9 +45,9 @@ class Checks:
         """Take in the epochs that are new."""
         self._fit.update(epochs)
 
-    def note_change(self, before: Solution, after: Solution, time_s: float) -> None:
-        """Take in two solutions that follow each other, in one linearisation."""
-        self._steadiness.add(before, after, time_s)
+    def note(self, solution: Solution, time_s: float) -> None:
+        """Take in the solution of all data so far."""
+        self._steadiness.add(solution, time_s)
 
     def report(
         self,
@@ -65,7 +63,7 @@ class Checks:
         )
         latitude, moved = None, None
         given = self._gravity.latitude
-        column = latitude_column(solution, given) if self._with_latitude else None
+        column = latitude_column(solution, given)
         if column is not None:
             off, sigma, response = solver.score(filter_.normal, solution, column)
             latitude = LatitudeEstimate(given + off, sigma)

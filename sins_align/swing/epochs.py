@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sins_align.increments import Windows
-from sins_align.rotation import dcm_from_quaternion, multiply_quaternions, skew
+from sins_align.rotation import dcm_from_quaternion, multiply_quaternions, rotations_about
 from sins_align.types import Array
 
 # What of the motion so far stands for what is to come.
@@ -60,7 +60,7 @@ class Epochs:
         index = np.resize(again, count)
         duration = self.duration_s[index]
         end_s = self.time_s[-1] + np.cumsum(duration)
-        E = _turns(w_ie_b0, end_s - self.time_s[index + 1])
+        E = rotations_about(w_ie_b0, end_s - self.time_s[index + 1])
         new = {
             "duration_s": duration,
             "time_s": end_s,
@@ -102,11 +102,3 @@ class Epochs:
         q = multiply_quaternions(self._q, windows.q_end)
         self._q = q / math.sqrt(float(q @ q))
         self._size = new
-
-
-def _turns(rate: Array, time_s: Array) -> Array:
-    """(K, 3, 3) rotations about one axis, rate (3,) [rad/s], within times (K,)."""
-    size = float(np.linalg.norm(rate))
-    k = skew(rate / size)
-    angle = (size * time_s)[:, None, None]
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)

@@ -116,7 +116,7 @@ class InertialAligner:
         self._excitation = LeverExcitation(self._noise.gyro, self._noise.position)
         self._lever = self._excitation.directions()
         self._epochs = Epochs()
-        self._checks = Checks(self._gravity, self._noise, config.latitude_check != "off")
+        self._checks = Checks(self._gravity, self._noise)
         self._filter = TwoStageFilter(self._noise)
         self._filtered = 0  # epochs that the filter has taken in
         self._about: Linearisation | None = None
@@ -189,10 +189,10 @@ class InertialAligner:
             self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
             self._refresh()
         elif self._solution is not None:
-            before = self._solution
             self._advance()
-            self._solution = self._solver().solve(self._filter.normal, before)
-            self._checks.note_change(before, self._solution, now)
+            self._solution = self._solver().solve(self._filter.normal, self._solution)
+        if self._solution is not None:
+            self._checks.note(self._solution, now)
         self._estimate = self._estimate_now()
 
     @property
@@ -201,7 +201,7 @@ class InertialAligner:
         return self._estimate
 
     def foresee(self, heading: float) -> float:
-        """See `Aligner`. An estimate is made at the end of a cycle, and that is waited for."""
+        """See `Aligner`."""
         if self._estimate is not None and self._estimate.sigma[2] < heading:
             return 0.0
         if self._solution is None or self._about is None:
@@ -210,12 +210,20 @@ class InertialAligner:
             heading, self._filter, self._epochs, self._about, self._gravity, self._noise,
             self._heading_sigma,
         )  # fmt: skip
-        since = float(self._epochs.time_s[-1])
-        passed = sum(int(b.stamp_ns[-1] - b.stamp_ns[0]) for b in self._blocks) * 1e-9
-        end = self._next_cycle_s
-        while end < since + ahead_s < math.inf:
-            end += _cycle_s(end)
-        return max(ahead_s, end - since) - passed if math.isfinite(ahead_s) else math.inf
+        return max(ahead_s - self._since_cycle_s, 0.0)
+
+    def next_step(self, ahead_s: float) -> float:
+        """See `Aligner`: an estimate is made at the end of a cycle."""
+        now_s = float(self._epochs.time_s[-1]) + self._since_cycle_s
+        end_s = self._next_cycle_s
+        while end_s < now_s + ahead_s < math.inf:
+            end_s += _cycle_s(end_s)
+        return max(ahead_s, end_s - now_s)
+
+    @property
+    def _since_cycle_s(self) -> float:
+        """Time of the blocks that wait for the end of the cycle [s]."""
+        return sum(int(b.stamp_ns[-1] - b.stamp_ns[0]) for b in self._blocks) * 1e-9
 
     def propagate(self, block: ImuBlock) -> Estimate | None:
         """`estimate` carried to the end of `block` by the gyros; changes nothing seen outside.

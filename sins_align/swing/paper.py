@@ -94,6 +94,10 @@ class PaperAligner:
         known = estimate is not None and bool(estimate.sigma[2] < heading)
         return 0.0 if known else math.nan
 
+    def next_step(self, ahead_s: float) -> float:
+        """See `Aligner`: steps are a second or two apart."""
+        return ahead_s
+
     def update(self, block: ImuBlock) -> list[Advance]:
         """Take in the next block of samples; a step, unless the estimate is an older one."""
         self._take_in(block)

@@ -1,50 +1,50 @@
-"""Whether the attitude changes from one solution to the next no more than it should.
+"""Whether heading changes with new data no more than it should.
 
 The solution of more data differs from that of less by what is new in them. Of an optimal filter
 with a true model the covariance of that change is the difference of both covariances; gyro noise
-above the declared one, or a base that creeps, changes the attitude by more. Innovations do not
-show it: they are dominated by the position noise of an epoch.
+above the declared one, or a base that creeps, changes heading by more, slowly and one way, and the
+innovations of single epochs do not show it: they are dominated by the position noise. The levels
+are left out: where a direction of the accelerometer bias goes over from considered to estimated,
+they jump and may.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from sins_align.rotation import log_rotation
 from sins_align.swing.solution import KAPPA, Solution
 from sins_align.types import Array
 
 # Solutions of the first seconds are not linear enough.
-FIRST_S = 30.0
-MEMORY = 8  # changes
-LEAST_COUNT = 4
+FIRST_S = 25.0
+LEAST_COUNT = 3  # earlier solutions
 # What rounding and what is left of Gauss-Newton may add, of the variance.
 FLOOR = 1e-3
 
 
 class Steadiness:
-    """Mean normalised square of the attitude's changes, three degrees of freedom."""
+    """Remembers the solutions, and holds the last one against all of them."""
 
     def __init__(self) -> None:
-        self._mean = 0.0
-        self._count = 0
+        self._earlier: list[tuple[Array, float]] = []  # attitude, variance of heading
+        self._value = math.nan
 
-    def add(self, before: Solution, after: Solution, time_s: float) -> None:
-        """Take in two solutions of one linearisation, the latter of more data."""
+    def add(self, solution: Solution, time_s: float) -> None:
+        """Take in the solution of all data so far."""
         if time_s < FIRST_S:
             return
-        P = before.covariance[KAPPA, KAPPA]
-        S: Array = P - after.covariance[KAPPA, KAPPA] + FLOOR * P
-        if np.linalg.eigvalsh(S)[0] <= 0.0:  # something else was estimated before
-            return
-        change = log_rotation(after.R @ before.R.T)
-        square = float(change @ np.linalg.solve(S, change)) / 3.0
-        self._count += 1
-        self._mean += (square - self._mean) / min(self._count, MEMORY)
+        up = solution.R[:, 2]
+        now = float(up @ solution.covariance[KAPPA, KAPPA] @ up)
+        squares = []
+        for R, before in self._earlier:
+            variance = (1.0 + FLOOR) * before - now
+            if variance > 0.0:  # else the position noise has grown, say
+                squares.append(float(up @ log_rotation(solution.R @ R.T)) ** 2 / variance)
+        self._earlier.append((solution.R, now))
+        self._value = max(squares) if len(squares) >= LEAST_COUNT else math.nan
 
     @property
     def value(self) -> float:
-        """The mean square over its expectation; NaN before there are enough changes."""
-        return self._mean if self._count >= LEAST_COUNT else math.nan
+        """Largest square of a change over its variance; NaN before there are enough."""
+        return self._value

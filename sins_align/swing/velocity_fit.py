@@ -92,10 +92,10 @@ class VelocityFit:
         if R is None:
             return None
         kappa = log_rotation(R @ solution.R.T)
-        # R = Exp(kappa) R^ in b0: heading is what turns about up.
+        # R = Exp(kappa) R^ in b0: heading is what turns about up; phi = -R^T kappa.
         heading = float(kappa @ solution.R[:, 2])
         total = variance + self._variance(time_s, position)
-        phi = np.array([0.0, 0.0, heading])
+        phi = np.array([0.0, 0.0, -heading])
         return Witness(NAME, phi, heading * heading / total)
 
     def _white(self, time_s: float, position: float) -> float:

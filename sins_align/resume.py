@@ -1,0 +1,280 @@
+"""Going on from a stored alignment until a new one is better.
+
+The aligner proper gets every sample from the first one on, as if nothing had been stored. For
+the first `CHECK_S` the stored alignment is checked (`stored_check`); if it fits, its attitude,
+carried on by the gyros (`carried`), is what is given out until the aligner proper knows heading
+better. Where a sway hides the Earth's rate from the check, the aligner proper has to agree first,
+once it knows heading to `HEADING_SIGMA`.
+
+The two are never fused: heading error and gyro bias are one error, delta psi = b_E / (Omega cos L),
+which both alignments share, and fusing them as independent would claim sigma / sqrt(2) for
+nothing. While both are there they have to agree, so that a turn that the check was too short to
+see is found as soon as the aligner proper sees it.
+
+What has been dropped is dropped for good.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from sins_align.carried import (
+    Carried,
+    Carrier,
+    begin,
+    carry,
+    misalignment_covariance,
+    spread,
+)
+from sins_align.config import OdoConfig, SwingConfig
+from sins_align.earth import earth_rate_n
+from sins_align.reasons import STORED_CHECK, STORED_CONFIRM, STORED_DROPPED, VEHICLE_MOVES
+from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
+from sins_align.status import MAX_CONSISTENCY
+from sins_align.stored import StoredAlignment
+from sins_align.stored_check import (
+    CHECK_S,
+    CHI_SQUARE_LIMIT,
+    HEADING_SIGMA,
+    Passed,
+    StoredCheck,
+)
+from sins_align.types import (
+    Advance,
+    AidedAligner,
+    Aligner,
+    Array,
+    Estimate,
+    ImuBlock,
+    OdometerSamples,
+    Position,
+)
+from sins_align.units import ARCMIN
+
+# Chi-square of 3 degrees of freedom with one false alarm in 1e5: it is asked again and again.
+AGREEMENT_LIMIT = 25.90
+# The vehicle drives when its odometer says so for half of the check [m/s].
+DRIVING_SPEED = 0.1
+
+CONTRADICTED = "the new one differs by {angle:.2g}' in heading (sigma {sigma:.2g}')"
+DRIVES = "the vehicle drives"
+MOVED = "the vehicle has moved"
+
+
+class ResumingAligner:
+    """An aligner that starts with a stored alignment; fulfils `Aligner`.
+
+    Parameters
+    ----------
+    aligner : the aligner proper
+    config : its settings
+    position : latitude and altitude give Earth rate and gravity
+    stored : what to go on from
+    """
+
+    def __init__(
+        self,
+        aligner: Aligner,
+        config: SwingConfig | OdoConfig,
+        position: Position,
+        stored: StoredAlignment,
+    ) -> None:
+        self._aligner = aligner
+        drives = isinstance(config, OdoConfig) and not config.stationary
+        self._carrier = Carrier(config.grade, config.sampling, position, drives)
+        self._check: StoredCheck | None = StoredCheck(
+            stored, config.grade, config.sampling, config.completion, position.latitude
+        )
+        self._carried: Carried | None = None  # from the check on, while nothing is better
+        self._is_confirmed = False  # and whether it is given out
+        self._consistency = 0.0
+        self._stamp_ns = 0  # end of the last block, and its last sample
+        self._tail = ImuBlock(np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros((3, 0)))
+        self._dropped = ""  # why
+
+    def update(self, block: ImuBlock) -> list[Advance]:
+        """Take in the next block; a step for each while the stored attitude is given out."""
+        before_ns, self._stamp_ns = self._stamp_ns, int(block.stamp_ns[-1])
+        self._tail = ImuBlock(block.stamp_ns[-1:], block.w_ib_b[:, -1:], block.f_ib_b[:, -1:])
+        if self._carried is not None:
+            self._carried = carry(self._carried, block, self._carrier)
+        steps = self._aligner.update(block)
+        if self._check is not None:
+            self._check.add(block)
+            if self._check.elapsed_s >= CHECK_S:
+                self._settle(self._check)
+        steps = self._take(steps, before_ns)
+        given = self._given
+        if given is None:
+            return steps
+        return [Advance(self._stamp_ns, self._given_out(given, self._stamp_ns))]
+
+    @property
+    def _given(self) -> Carried | None:
+        """The stored attitude, where it is what is given out."""
+        return self._carried if self._is_confirmed else None
+
+    def _take(self, steps: list[Advance], before_ns: int) -> list[Advance]:
+        """Those steps of the aligner proper that are to be given out.
+
+        before_ns : nothing up to this stamp, where the stored attitude is further on
+        """
+        before = self._given
+        if any(f.reason is VEHICLE_MOVES for step in steps for f in step.findings):
+            self._check, self._carried, self._dropped = None, None, MOVED
+        if self._carried is not None and any(step.estimate is not None for step in steps):
+            self._carried = self._weigh(self._carried)
+        if self._given is not None:
+            return []
+        if before is not None:
+            steps = [step for step in steps if step.stamp_ns > before_ns]
+        return [self._remark(step) for step in steps]
+
+    def _remark(self, step: Advance) -> Advance:
+        """The step, with what is to be said of the stored alignment."""
+        if self._check is not None:
+            done = min(self._check.elapsed_s, CHECK_S)
+            finding = STORED_CHECK(elapsed_s=done, check_s=CHECK_S)
+        elif self._carried is not None:
+            finding = STORED_CONFIRM(sigma_deg=math.degrees(HEADING_SIGMA))
+        elif self._dropped:
+            finding = STORED_DROPPED(why=self._dropped)
+        else:
+            return step
+        return step._replace(findings=(*step.findings, finding))
+
+    def _settle(self, check: StoredCheck) -> None:
+        """Take the stored alignment over, or drop it."""
+        self._check = None
+        verdict = self._doubt() or check.judge()
+        if isinstance(verdict, str):
+            self._dropped = verdict
+            return
+        self._carried, self._is_confirmed = self._begin(verdict), verdict.sees_heading
+        # One number that has passed its test is not to fail another: 1 is where it ends.
+        self._consistency = verdict.chi_square / CHI_SQUARE_LIMIT
+
+    def _doubt(self) -> str:
+        """Why the check need not be looked at; '' where it is to be. For what aids."""
+        return ""
+
+    def _begin(self, passed: Passed) -> Carried:
+        """From the middle of the check to its end."""
+        start = begin(passed.C_nb, passed.covariance, passed.gyro_bias)
+        w_ie_n = earth_rate_n(self._carrier.position.latitude)
+        lever = passed.C_nb * passed.half_s
+        covariance = spread(start, w_ie_n, lever, passed.half_s, self._carrier.grade)
+        return replace(start, covariance=covariance)
+
+    def _weigh(self, carried: Carried) -> Carried | None:
+        """The stored alignment beside a new one; None if that contradicts it, or is better."""
+        new = self._aligner.propagate(self._tail)
+        if new is None or new.consistency > MAX_CONSISTENCY:
+            return carried
+        P = misalignment_covariance(carried, self._carrier)
+        both = P + new.misalignment_covariance
+        phi = log_rotation(dcm_from_quaternion(new.q_nb) @ carried.C_nb.T)
+        if not float(phi @ np.linalg.solve(both, phi)) <= AGREEMENT_LIMIT:
+            angle, sigma = abs(float(phi[2])) / ARCMIN, math.sqrt(both[2, 2]) / ARCMIN
+            self._dropped = CONTRADICTED.format(angle=angle, sigma=sigma)
+            return None
+        variance = _heading_variance(new)
+        if variance < P[2, 2]:
+            return None
+        self._is_confirmed = self._is_confirmed or variance < HEADING_SIGMA**2
+        return carried
+
+    def _given_out(self, carried: Carried, stamp_ns: int) -> Estimate:
+        """As an estimate; the accelerometers' bias is what is declared, nothing more is known.
+
+        What only the aligner proper can know, lever arm or odometer, is its own.
+        """
+        new = self._aligner.estimate
+        return Estimate(
+            stamp_ns=stamp_ns,
+            q_nb=quaternion_from_dcm(carried.C_nb),
+            misalignment_covariance=misalignment_covariance(carried, self._carrier),
+            gyro_bias=carried.gyro_bias,
+            gyro_bias_sigma=np.sqrt(carried.covariance.diagonal()[3:]),
+            accel_bias=np.zeros(3),
+            accel_bias_sigma=np.full(3, self._carrier.grade.accel_bias),
+            lever_arm=None if new is None else new.lever_arm,
+            odometer=None if new is None else new.odometer,
+            consistency=self._consistency,
+        )
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """At the last stamp of the last block."""
+        given = self._given
+        return self._aligner.estimate if given is None else self._given_out(given, self._stamp_ns)
+
+    def propagate(self, block: ImuBlock) -> Estimate | None:
+        """`estimate` carried to the end of `block` by the gyros; changes nothing."""
+        given = self._given
+        if given is None:
+            return self._aligner.propagate(block)
+        ahead = carry(given, block, self._carrier)
+        return self._given_out(ahead, int(block.stamp_ns[-1]))
+
+    def foresee(self, heading: float) -> float:
+        """See `Aligner`: by what is given out, else by the aligner proper."""
+        estimate = self.estimate
+        if estimate is not None and estimate.sigma[2] < heading:
+            return 0.0
+        return self._aligner.foresee(heading)
+
+    def next_step(self, ahead_s: float) -> float:
+        """See `Aligner`: every block is a step while the stored attitude is given out."""
+        return ahead_s if self._given is not None else self._aligner.next_step(ahead_s)
+
+    def conclude(self, block: ImuBlock) -> Estimate | None:
+        """The better of the stored attitude and all that the aligner proper knows."""
+        new = self._aligner.conclude(block)
+        old = None if self._given is None else self.propagate(block)
+        if old is None:
+            return new
+        if new is None or new.consistency > MAX_CONSISTENCY:
+            return old
+        return new if _heading_variance(new) < _heading_variance(old) else old
+
+
+def _heading_variance(estimate: Estimate) -> float:
+    P: Array = estimate.misalignment_covariance
+    return float(P[2, 2])
+
+
+class ResumingAidedAligner(ResumingAligner):
+    """`ResumingAligner` for one that needs an odometer; fulfils `AidedAligner`."""
+
+    def __init__(
+        self,
+        aligner: AidedAligner,
+        config: OdoConfig,
+        position: Position,
+        stored: StoredAlignment,
+    ) -> None:
+        super().__init__(aligner, config, position, stored)
+        self._aided = aligner
+        self._samples: list[OdometerSamples] = []  # while the check goes on
+
+    def aid(self, samples: OdometerSamples) -> list[Advance]:
+        """Take in samples of the odometer."""
+        if self._check is not None:
+            self._samples.append(samples)
+        return self._take(self._aided.aid(samples), self._stamp_ns)
+
+    def _doubt(self) -> str:
+        """A vehicle that drives straight on is as still as one that stands."""
+        end_ns, begin_ns = self._stamp_ns, self._stamp_ns - round(CHECK_S * 1e9)
+        speeds = [
+            speed
+            for samples in self._samples
+            for stamp_ns, speed in zip(samples.stamp_ns.tolist(), samples.speed, strict=True)
+            if begin_ns <= stamp_ns <= end_ns
+        ]
+        self._samples = []
+        return DRIVES if speeds and float(np.median(np.abs(speeds))) > DRIVING_SPEED else ""

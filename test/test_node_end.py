@@ -1,0 +1,194 @@
+"""End of the nodes: signals in every state, and what stands in the result file then."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray
+from node_harness import (
+    DEADLINE_S,
+    ODO,
+    RELIABLE,
+    SWING,
+    SYNTH,
+    Observer,
+    Player,
+    arguments,
+    diagnostic_values,
+    observing,
+    running,
+    stop,
+)
+from std_srvs.srv import Trigger
+
+from sins_align.simulate import SwingOptions, simulate_swing
+from sins_align.types import ImuSamples
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+BOTH = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+EXECUTORS = pytest.mark.parametrize("executor", ["single", "events"])
+
+
+def diagnostics(observer: Observer) -> dict[str, str]:
+    seen = observer.received["/diagnostics"]
+    return diagnostic_values(seen[-1]) if seen else {}
+
+
+def wait_until_up(observer: Observer) -> None:
+    observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+    observer.wait(lambda: diagnostics(observer), "diagnostics")
+
+
+def stop_twice(process: subprocess.Popen[bytes], number: int) -> int:
+    """As an impatient operator does."""
+    process.send_signal(number)
+    return stop(process, number)
+
+
+def holds_sigterm(process: subprocess.Popen[bytes]) -> bool:
+    """Whether the process has got so far that a signal no longer simply ends it."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    masks = dict(line.split(":") for line in status.splitlines() if line.startswith("Sig"))
+    return bool(int(masks["SigBlk"], 16) >> (signal.SIGTERM - 1) & 1)
+
+
+def imu(duration_s: float) -> ImuSamples:
+    return simulate_swing(
+        SwingOptions(
+            scenario="pitch", grade="perfect", rate_hz=50.0, duration_s=duration_s, seed=1
+        )
+    ).imu  # fmt: skip
+
+
+def check_log(log: Path) -> None:
+    """Nothing that an operator would wonder at."""
+    text = log.read_text()
+    assert not any(word in text for word in ("Traceback", "Exception", "Failed to publish")), text
+
+
+@BOTH
+@EXECUTORS
+@pytest.mark.parametrize("ending", [stop, stop_twice])
+@pytest.mark.parametrize("module", [SWING, ODO])
+def test_a_signal_at_once_after_the_start(
+    tmp_path: Path, module: str, ending: Any, executor: str, number: int
+) -> None:
+    """Before there is a node, and before its modules are read: it is made, and ends."""
+    result, log = tmp_path / "result.json", tmp_path / "log"
+    words = arguments({"executor": executor, "result_file": result})
+    with running(module, *words, log=log) as process:
+        end = time.monotonic() + DEADLINE_S
+        while not holds_sigterm(process):
+            assert process.poll() is None and time.monotonic() < end
+            time.sleep(0.001)
+        assert ending(process, number) == 0
+    check_log(log)
+    assert json.loads(result.read_text())["state"] == "waiting"
+
+
+@BOTH
+@EXECUTORS
+def test_a_signal_while_it_waits(tmp_path: Path, executor: str, number: int) -> None:
+    result, log = tmp_path / "result.json", tmp_path / "log"
+    words = arguments({"executor": executor, "result_file": result})
+    with observing() as observer, running(SWING, *words, log=log) as process:
+        wait_until_up(observer)
+        assert stop_twice(process, number) == 0
+    check_log(log)
+    document = json.loads(result.read_text())
+    assert (document["schema"], document["state"]) == (1, "waiting")
+    assert "latitude" in document["reason"]
+
+
+@BOTH
+@EXECUTORS
+def test_a_signal_in_the_middle_of_a_burst(tmp_path: Path, executor: str, number: int) -> None:
+    """Samples under way, in the queue and half taken in."""
+    samples = imu(40.0)
+    result, log = tmp_path / "result.json", tmp_path / "log"
+    words = arguments({"executor": executor, "result_file": result, "latitude_deg": 40.0})
+    with observing() as observer, running(SWING, *words, log=log) as process:
+        player = Player(observer)
+        player.play(samples.select(slice(0, 500)))
+        player.burst(samples.select(slice(500, None)))
+        assert stop_twice(process, number) == 0
+    check_log(log)
+    document = json.loads(result.read_text())
+    assert 500 <= document["input"]["imu_samples"] <= len(samples)
+    assert (document["state"], document["input"]["imu_gaps"]) == ("coarse", 0)
+
+
+def test_signal_while_samples_come_with_the_events_executor(tmp_path: Path) -> None:
+    node = {
+        "executor": "events", "latitude_deg": 40, "result_file": tmp_path / "result.json",
+        "qos_overrides./imu.subscription.depth": 5000,
+    }  # fmt: skip
+    synth = {"rate": 200.0, "duration_s": 60.0, "grade": "perfect"}
+    with (
+        observing() as observer,
+        running(SWING, *arguments(node), log=tmp_path / "node") as process,
+        running(SYNTH, *arguments(synth), log=tmp_path / "synth") as player,
+    ):
+        wait_until_up(observer)
+        observer.wait(lambda: float(diagnostics(observer)["elapsed_s"]) >= 2.0, "samples")
+        assert stop(process, signal.SIGTERM) == 0
+        assert stop(player, signal.SIGINT) == 0
+    for name in ("node", "synth"):
+        assert "Traceback" not in (tmp_path / name).read_text()
+    document = json.loads((tmp_path / "result.json").read_text())
+    assert document["input"]["imu_samples"] > 400
+    assert document["input"]["imu_gaps"] == 0
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_a_restart_does_not_throw_a_complete_alignment_away(tmp_path: Path, saved: bool) -> None:
+    """Unless the operator has asked for what there is now."""
+    result, log = tmp_path / "result.json", tmp_path / "log"
+    parameters = {
+        "latitude_deg": 40.0, "imu_grade": "perfect", "heading_threshold_arcmin": 90.0,
+        "level_threshold_arcsec": 300.0, "hold_s": 2.0, "result_file": result,
+    }  # fmt: skip
+    with observing() as observer, running(SWING, *arguments(parameters), log=log) as process:
+        Player(observer).play(imu(25.0))
+        observer.wait(result.exists, "the result")
+        assert observer.call(Trigger, "/swing_align/restart").success
+        aligned = json.loads(result.read_text())
+        assert aligned["aligned"]
+        assert aligned["input"]["imu_samples"] == 1251  # all of them, not those until it was
+        if saved:
+            assert observer.call(Trigger, "/swing_align/save").success
+        assert stop(process, signal.SIGTERM) == 0
+    found = json.loads(result.read_text())
+    if saved:
+        assert (found["aligned"], found["state"], found["q_nb_wxyz"]) == (False, "waiting", None)
+    else:
+        assert found == aligned
+    check_log(log)
+    kept = f"{result} keeps the alignment that was complete; the state is waiting"
+    assert (kept in log.read_text()) == (not saved)
+
+
+def test_a_result_that_cannot_be_written_at_the_end_is_no_success(tmp_path: Path) -> None:
+    folder, log = tmp_path / "folder", tmp_path / "log"
+    folder.mkdir()
+    words = arguments({"result_file": folder / "result.json"})
+    with observing() as observer, running(SWING, *words, log=log) as process:
+        wait_until_up(observer)
+        shutil.rmtree(folder)
+        assert stop(process, signal.SIGTERM) == 1
+    check_log(log)
+    assert (
+        log.read_text().splitlines()[-1]
+        == f"swing_align: {folder}/result.json: No such file or directory"
+    )

@@ -1,0 +1,185 @@
+"""What a session says on the way from waiting to aligned, and for how long it will be."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+import pytest
+
+from sins_align.config import SwingConfig, swing_config
+from sins_align.session import Session, Update
+from sins_align.simulate import SwingOptions, simulate_swing
+from sins_align.types import Estimate, ImuSamples, State
+from sins_align.units import DEG
+
+SECOND = 1_000_000_000
+
+
+def swing(**changes: object) -> ImuSamples:
+    options = {"grade": "rlg", "duration_s": 30.0, "rate_hz": 50.0, "seed": 3, **changes}
+    return simulate_swing(SwingOptions(**options)).imu
+
+
+@functools.cache
+def laser() -> ImuSamples:
+    """A minute and a half of a swing that gets aligned."""
+    samples = swing(duration_s=90.0)
+    for array in samples:
+        array.flags.writeable = False  # the tests share them
+    return samples
+
+
+def laser_config(**changes: object) -> SwingConfig:
+    return swing_config({"latitude_deg": 40.0, "imu_grade": "rlg", "hold_s": 5.0, **changes})
+
+
+def run(samples: ImuSamples, settings: SwingConfig) -> tuple[Session, list[Update]]:
+    session = Session(settings)
+    return session, session.add_imu(samples)
+
+
+def shifted(samples: ImuSamples, by_ns: int) -> ImuSamples:
+    return ImuSamples(samples.stamp_ns + by_ns, samples.w_ib_b, samples.f_ib_b)
+
+
+def numbers(estimate: Estimate | None) -> tuple[object, ...]:
+    """Every bit of attitude and covariance."""
+    if estimate is None:
+        return ()
+    P, q = estimate.misalignment_covariance, estimate.q_nb
+    return estimate.stamp_ns, q.tobytes(), P.tobytes(), estimate.gyro_bias.tobytes()
+
+
+def trace(updates: list[Update]) -> list[tuple[object, ...]]:
+    return [(u.stamp_ns, numbers(u.estimate), u.status) for u in updates]
+
+
+def test_states_in_their_order() -> None:
+    """The levels before heading, heading before two degrees of it, and those before the hold."""
+    session, updates = run(laser(), laser_config(level_threshold_arcsec=10.0))
+    assert (updates[0].status.state, updates[0].estimate) == (State.WAITING, None)
+    assert updates[0].status.keys == ("levelling",)
+    states = list(dict.fromkeys(u.status.state for u in updates))
+    assert states == [State.WAITING, State.COARSE, State.FINE, State.ALIGNED]
+    order = [states.index(u.status.state) for u in updates]
+    assert order == sorted(order)
+    known = [u.estimate is not None for u in updates]
+    assert known == sorted(known)
+    assert State.WAITING not in {u.status.state for u in updates if u.estimate is not None}
+    aligned = session.status
+    assert aligned.aligned_at_s is not None
+    first = next(u for u in updates if u.status.keys == ("holding",))
+    assert aligned.aligned_at_s - first.status.elapsed_s >= 5.0
+
+
+def test_before_the_levels_are_known_it_waits() -> None:
+    session, updates = run(laser().select(slice(0, 52)), laser_config())
+    assert len(updates) == 1
+    assert (session.status.state, session.status.keys) == (State.WAITING, ("levelling",))
+    assert session.estimate is None
+
+
+def test_the_time_to_go() -> None:
+    """Foretold to the length of a cycle, which is 15 % of the time; then the hold runs down."""
+    settings = laser_config(heading_threshold_arcmin=4.0)
+    whole, updates = run(laser(), settings)
+    assert whole.status.state is State.ALIGNED and whole.eta_s == 0.0
+    aligned_at_s = whole.status.aligned_at_s
+    below = [u.status.elapsed_s for u in updates if u.status.keys == ("holding",)]
+    assert aligned_at_s is not None and below[0] > 30.0
+    session = Session(settings)
+    assert math.isnan(session.eta_s)
+    seen = {}
+    for second in range(90):
+        session.add_imu(laser().select(slice(50 * second, 50 * second + 50)))
+        seen[second] = session.eta_s
+    assert math.isnan(seen[0])
+    for second in (20, 25, 30):
+        assert seen[second] + second == pytest.approx(aligned_at_s, rel=0.2)
+    assert seen[30] < seen[25] < seen[20]
+    # Below: what is left is the hold, to the end of a cycle, and known to the second.
+    soon = math.ceil(below[0]) + 1
+    assert seen[soon] + soon == pytest.approx(aligned_at_s, abs=1.5)
+    assert seen[89] == 0.0
+
+
+def test_no_time_to_go_where_it_cannot_be_said() -> None:
+    assert math.isnan(Session(swing_config()).eta_s)
+    failed, _ = run(swing(rate_hz=5.0), laser_config())
+    assert failed.status.state is State.FAILED and math.isnan(failed.eta_s)
+    restarted, _ = run(laser(), laser_config())
+    restarted.restart()
+    assert math.isnan(restarted.eta_s)
+    # What standing never reaches, it does not promise.
+    never, _ = run(swing(scenario="still"), laser_config(heading_threshold_arcmin=0.01))
+    assert never.eta_s == math.inf
+
+
+def test_asking_for_the_time_to_go_changes_nothing() -> None:
+    whole, expected = run(laser(), laser_config())
+    asked = Session(laser_config())
+    found = []
+    for k in range(0, len(laser()), 137):
+        found += asked.add_imu(laser().select(slice(k, k + 137)))
+        first = asked.eta_s
+        assert repr(asked.eta_s) == repr(first)
+    assert trace(found) == trace(expected)
+    assert numbers(asked.conclusion) == numbers(whole.conclusion) != ()
+
+
+def test_other_thresholds_lose_nothing() -> None:
+    """From the next step on, and as if they had been there before."""
+    wide, narrow = laser_config(heading_threshold_arcmin=1000.0), laser_config()
+    session = Session(narrow)
+    before = session.add_imu(laser().select(slice(0, 1451)))
+    assert before[-1].status.state is State.FINE and "heading_sigma" in before[-1].status.keys
+    session.set_completion(wide.completion)
+    assert session.config.completion == wide.completion
+    assert session.eta_s < 10.0
+    after = session.add_imu(laser().select(slice(1451, None)))
+    expected, updates = run(laser(), narrow)
+    assert [numbers(u.estimate) for u in (*before, *after)] == [
+        numbers(u.estimate) for u in updates
+    ]
+    assert after[0].status.keys == ("holding",)
+    aligned = [s.status.aligned_at_s for s in (session, expected)]
+    assert aligned[0] is not None and aligned[1] is not None and aligned[0] < aligned[1]
+    session.set_completion(laser_config(heading_threshold_arcmin=1e-3).completion)
+    assert session.status.state is State.ALIGNED  # no step, no change
+    session.restart()
+    session.add_imu(shifted(laser(), 1000 * SECOND))
+    assert session.status.state is State.FINE  # kept over a restart
+
+
+def test_a_hint_of_the_units_reaches_the_status() -> None:
+    """y of the gyros turned against the accelerometers': said, and never aligned."""
+    samples = laser()
+    turned = samples.w_ib_b * np.array([[1.0], [-1.0], [1.0]])
+    wrong = ImuSamples(samples.stamp_ns, turned, samples.f_ib_b)
+    session, updates = run(wrong, laser_config())
+    assert "axes_differ" in session.status.keys
+    assert "axes and signs" in session.status.remedy
+    assert State.ALIGNED not in {u.status.state for u in updates}
+
+
+@pytest.mark.parametrize(
+    ("check", "state"),
+    [("warn", State.ALIGNED), ("fail", State.FAILED), ("off", State.ALIGNED)],
+)
+def test_a_wrong_latitude(check: str, state: State) -> None:
+    """By a degree: aligned with a word, failed, or not looked at."""
+    samples = swing(duration_s=150.0)
+    wrong = laser_config(
+        latitude_deg=41.0, latitude_check=check, heading_threshold_arcmin=600.0,
+        level_threshold_arcsec=6000.0, gyro_bias_deg_h=0.03,
+    )  # fmt: skip
+    session, _ = run(samples, wrong)
+    keys = {"warn": "latitude_differs", "fail": "latitude_wrong"}
+    for name, key in keys.items():
+        assert (key in session.status.keys) == (check == name)
+    estimate = session.estimate
+    assert estimate is not None and estimate.latitude is not None
+    assert abs(estimate.latitude.latitude / DEG - 40.0) < 0.5
+    assert session.status.state is state
