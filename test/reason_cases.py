@@ -108,7 +108,7 @@ class Drive:
 
 
 @cache
-def swing(duration_s: float = 60.0, **changes: Any) -> Drive:
+def swing(duration_s: float = 80.0, **changes: Any) -> Drive:
     """A swing of 2 deg about each axis, 5 m from its centre; a laser gyro."""
     options = {"scenario": "level", "grade": "rlg", "seed": 1, "rate_hz": RATE_HZ, **changes}
     imu = simulate_swing(SwingOptions(duration_s=duration_s, **options)).imu

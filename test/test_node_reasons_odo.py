@@ -26,6 +26,10 @@ def still() -> Drive:
     return vehicle("static", 50.0)
 
 
+def laser() -> Drive:
+    return vehicle("static", 50.0, grade="rlg")
+
+
 def ring(duration_s: float = 100.0) -> Drive:
     """The road shakes at up to 2.5 Hz: 20 Hz are few for it."""
     return vehicle("ring", duration_s, rate_hz=50.0)
@@ -84,6 +88,24 @@ CASES = (
         (Stage(("azimuth_lost",), lambda: turning_with_a_gap().part(0.0, 95.0)),),
         lambda: turning_with_a_gap().part(95.0),
         ALONE,
+    ),
+    Case(
+        "an odometer that falls silent",
+        ODO,
+        (
+            Stage((), lambda: ring(150.0).part(0.0, 60.0)),
+            Stage(("odometer_silent",), lambda: ring(150.0).part(60.0, 75.0).without_odometer),
+        ),
+        lambda: ring(150.0).part(75.0, 110.0),
+        FOG,
+    ),
+    Case(
+        "another latitude",
+        ODO,
+        (Stage(("latitude_doubted", "latitude_wrong"), laser),),
+        laser,
+        {"imu_grade": "rlg", "latitude_deg": 41.0, "latitude_check": "fail"},
+        {"latitude_deg": 40.0},
     ),
     Case(
         "at the pole, by a latitude that is wrong",

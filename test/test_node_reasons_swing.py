@@ -138,7 +138,7 @@ CASES = (
     Case(
         "a small swing",
         SWING,
-        (Stage(("swing_weak",), lambda: swing(scenario=WEAK)),),
+        (Stage(("swing_weak",), lambda: swing(60.0, scenario=WEAK)),),
         lambda: swing().later(65.0),
     ),
     Case(
