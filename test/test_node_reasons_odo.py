@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from node_harness import ODO
-from reason_cases import Case, Drive, Nodes, Stage, nodes_in, vehicle
+from reason_cases import Case, Nodes, Stage, nodes_in
+from reason_drives import Drive, vehicle
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 

@@ -12,7 +12,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from node_harness import SWING
-from reason_cases import LOOSE, Case, Drive, Nodes, Stage, nodes_in, swing
+from reason_cases import LOOSE, Case, Nodes, Stage, nodes_in
+from reason_drives import Drive, swing
 
 from sins_align.grades import load_grade
 from sins_align.simulate import ThreeAxisSwing
