@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -26,16 +23,15 @@ from node_harness import (
     running,
 )
 from rclpy.publisher import Publisher
+from reason_drives import Drive
 from std_msgs.msg import Bool
 
 from sins_align.reasons import REASONS, Kind
 from sins_align.ros.bags_topics import odometer_type
 from sins_align.ros.portable_messages import ros_types
-from sins_align.simulate import SwingOptions, VehicleOptions, simulate_swing, simulate_vehicle
-from sins_align.types import Array, ImuSamples, OdometerSamples, Position
+from sins_align.types import ImuSamples, Position
 
 BY_KEY = {reason.key: reason for reason in REASONS}
-RATE_HZ = 20.0
 # Between two cases on one node: the second one begins anew.
 PAUSE_NS = 2_000_000_000
 PLACE = {"latitude_deg": 40.0, "longitude_deg": 116.0, "altitude_m": 50.0}
@@ -43,84 +39,6 @@ LOOSE = {"heading_threshold_arcmin": 30.0, "level_threshold_arcsec": 400.0, "hol
 # One that is refused.
 NO_SAMPLE = ImuSamples(np.zeros(1, np.int64), np.full((3, 1), np.nan), np.zeros((3, 1)))
 NAMES = {SWING: "swing_align", ODO: "odo_align"}
-
-
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """What IMU and odometer give; times are seconds since the start of the whole simulation."""
-
-    imu: ImuSamples
-    odometer: OdometerSamples | None
-    begin_ns: int
-
-    def part(self, begin_s: float, end_s: float = math.inf) -> Drive:
-        """From the one to the other, or to the end."""
-        imu, odometer = self.imu, self.odometer
-        imu = imu.select(self._inside(imu.stamp_ns, begin_s, end_s))
-        if odometer is not None:
-            odometer = odometer.select(self._inside(odometer.stamp_ns, begin_s, end_s))
-        return Drive(imu, odometer, self.begin_ns)
-
-    def _inside(self, stamp_ns: Array, begin_s: float, end_s: float) -> Array:
-        time_s = (stamp_ns - self.begin_ns) * 1e-9
-        return (time_s >= begin_s) & (time_s < end_s)
-
-    def later(self, seconds: float) -> Drive:
-        """All of it at a later time."""
-        return self.shifted(round(seconds * 1e9))
-
-    def shifted(self, ns: int) -> Drive:
-        imu, odometer = self.imu, self.odometer
-        imu = ImuSamples(imu.stamp_ns + ns, imu.w_ib_b, imu.f_ib_b)
-        if odometer is not None:
-            odometer = OdometerSamples(odometer.stamp_ns + ns, odometer.speed, odometer.variance)
-        return Drive(imu, odometer, self.begin_ns)
-
-    def sensed(
-        self,
-        w: Callable[[Array], Array] = lambda w: w,
-        f: Callable[[Array], Array] = lambda f: f,
-    ) -> Drive:
-        """With other angular rates or specific forces, (3, N) each."""
-        imu = ImuSamples(self.imu.stamp_ns, w(self.imu.w_ib_b), f(self.imu.f_ib_b))
-        return Drive(imu, self.odometer, self.begin_ns)
-
-    def picked(self, index: slice | Array) -> Drive:
-        """Only these samples of the IMU."""
-        return Drive(self.imu.select(index), self.odometer, self.begin_ns)
-
-    def at_one_time(self) -> Drive:
-        """The stamps of the IMU stand still."""
-        imu = self.imu
-        stamps = np.full_like(imu.stamp_ns, imu.stamp_ns[0])
-        return Drive(ImuSamples(stamps, imu.w_ib_b, imu.f_ib_b), self.odometer, self.begin_ns)
-
-    def counted(self, factor: float) -> Drive:
-        """The odometer's speed is so many times as much."""
-        odometer = self.odometer
-        assert odometer is not None
-        odometer = OdometerSamples(odometer.stamp_ns, factor * odometer.speed, odometer.variance)
-        return Drive(self.imu, odometer, self.begin_ns)
-
-    @property
-    def without_odometer(self) -> Drive:
-        return Drive(self.imu, None, self.begin_ns)
-
-
-@cache
-def swing(duration_s: float = 60.0, **changes: Any) -> Drive:
-    """A swing of 2 deg about each axis, 5 m from its centre; a laser gyro."""
-    options = {"scenario": "level", "grade": "rlg", "seed": 1, "rate_hz": RATE_HZ, **changes}
-    imu = simulate_swing(SwingOptions(duration_s=duration_s, **options)).imu
-    return Drive(imu, None, int(imu.stamp_ns[0]))
-
-
-@cache
-def vehicle(scenario: str, duration_s: float, **changes: Any) -> Drive:
-    """A drive with a fibre-optic gyro."""
-    options = {"grade": "fog", "seed": 2, "rate_hz": RATE_HZ, **changes}
-    run = simulate_vehicle(VehicleOptions(scenario=scenario, duration_s=duration_s, **options))
-    return Drive(run.imu, run.odometer, int(run.imu.stamp_ns[0]))
 
 
 @dataclass(frozen=True)

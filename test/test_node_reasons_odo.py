@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from node_harness import ODO
-from reason_cases import Case, Drive, Nodes, Stage, nodes_in, vehicle
+from reason_cases import Case, Nodes, Stage, nodes_in
+from reason_drives import Drive, vehicle
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -26,8 +27,13 @@ def still() -> Drive:
     return vehicle("static", 50.0)
 
 
-def ring() -> Drive:
-    return vehicle("ring", 100.0)
+def laser() -> Drive:
+    return vehicle("static", 50.0, grade="rlg")
+
+
+def ring(duration_s: float = 100.0) -> Drive:
+    """The road shakes at up to 2.5 Hz: 20 Hz are few for it."""
+    return vehicle("ring", duration_s, rate_hz=50.0)
 
 
 def tactical_ring() -> Drive:
@@ -85,6 +91,24 @@ CASES = (
         ALONE,
     ),
     Case(
+        "an odometer that falls silent",
+        ODO,
+        (
+            Stage((), lambda: ring(150.0).part(0.0, 60.0)),
+            Stage(("odometer_silent",), lambda: ring(150.0).part(60.0, 75.0).without_odometer),
+        ),
+        lambda: ring(150.0).part(75.0, 110.0),
+        FOG,
+    ),
+    Case(
+        "another latitude",
+        ODO,
+        (Stage(("latitude_doubted", "latitude_wrong"), laser),),
+        laser,
+        {"imu_grade": "rlg", "latitude_deg": 41.0, "latitude_check": "fail"},
+        {"latitude_deg": 40.0},
+    ),
+    Case(
         "at the pole, by a latitude that is wrong",
         ODO,
         (Stage(("at_pole",), lambda: still().part(0.0, 8.0)),),
@@ -104,14 +128,14 @@ CASES = (
         "the odometer runs backwards",
         ODO,
         (Stage(("odometer_opposite",), lambda: ring().part(0.0, 40.0).counted(-1.0)),),
-        lambda: vehicle("ring", 200.0).part(40.0),
+        lambda: ring().later(45.0),
         FOG,
     ),
     Case(
         "the odometer gives km/h",
         ODO,
         (Stage(("odometer_scale",), lambda: ring().part(0.0, 40.0).counted(3.6)),),
-        lambda: vehicle("ring", 200.0).part(40.0),
+        lambda: ring().later(45.0),
         FOG,
     ),
 )

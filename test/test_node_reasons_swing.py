@@ -12,7 +12,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from node_harness import SWING
-from reason_cases import LOOSE, Case, Drive, Nodes, Stage, nodes_in, swing
+from reason_cases import LOOSE, Case, Nodes, Stage, nodes_in
+from reason_drives import Drive, swing
 
 from sins_align.grades import load_grade
 from sins_align.simulate import ThreeAxisSwing
@@ -52,10 +53,10 @@ CASES = (
         (
             Stage(("levelling",), lambda: swing().part(0.0, 3.5)),
             Stage(("heading_coarse",), lambda: swing().part(3.5, 6.5)),
-            Stage(("heading_sigma",), lambda: swing().part(6.5, 12.5)),
-            Stage(("holding",), lambda: swing().part(12.5, 25.5)),
+            Stage(("heading_sigma", "unproven"), lambda: swing().part(6.5, 12.5)),
+            Stage(("holding",), lambda: swing().part(12.5, 44.5)),
         ),
-        lambda: swing().part(25.5),
+        lambda: swing().part(44.5),
     ),
     Case(
         "silence",
@@ -107,15 +108,15 @@ CASES = (
         (
             Stage(
                 ("estimate_broke",),
-                lambda: swing(100.0).part(0.0, 20.0).sensed(w=lambda w: w / DEG),
+                lambda: swing(150.0).part(0.0, 20.0).sensed(w=lambda w: w / DEG),
                 in_log=True,
             ),
             Stage(
                 ("gyro_in_degrees",),
-                lambda: swing(100.0).part(20.0, 32.0).sensed(w=lambda w: w / DEG),
+                lambda: swing(150.0).part(20.0, 32.0).sensed(w=lambda w: w / DEG),
             ),
         ),
-        lambda: swing(100.0).part(32.0),
+        lambda: swing(150.0).part(32.0),
     ),
     Case(
         "axes turned",
@@ -128,11 +129,17 @@ CASES = (
         ),
         lambda: swing().later(35.0),
     ),
+    Case(
+        "stamps of arrival",
+        SWING,
+        (Stage(("stamp_jitter",), lambda: swing(10.0, stamp_jitter_s=0.003)),),
+        lambda: swing().later(15.0),
+    ),
     Case("on its side", SWING, (), lambda: swing().sensed(on_its_side, on_its_side)),
     Case(
         "a small swing",
         SWING,
-        (Stage(("swing_weak",), lambda: swing(scenario=WEAK)),),
+        (Stage(("swing_weak",), lambda: swing(60.0, scenario=WEAK)),),
         lambda: swing().later(65.0),
     ),
     Case(
