@@ -95,8 +95,8 @@ def test_another_type_on_the_topic_is_said(tmp_path: Path) -> None:
         listen(observer)
         publisher = observer.node.create_publisher(ros_types("nav_msgs/msg/Odometry"), "/odom", 10)
         observer.wait(lambda: "odom_type" in diagnostics(observer).get("remedy", ""), "the remedy")
-        remedy = diagnostics(observer)["remedy"]
-        assert "nav_msgs/msg/Odometry" in remedy and "TwistStamped" in remedy
+        reason = diagnostics(observer)["reason"]
+        assert "nav_msgs/msg/Odometry" in reason and "TwistStamped" in reason
         observer.node.destroy_publisher(publisher)
         observer.wait(lambda: "odom_type" not in diagnostics(observer)["remedy"], "its end")
 

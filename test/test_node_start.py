@@ -112,7 +112,8 @@ def test_position_comes_from_the_fix_and_a_gap_begins_anew(tmp_path: Path) -> No
             publisher.publish(payload)
         observer.wait(lambda: "the alignment began anew" in log.read_text(), "the restart")
         observer.wait(
-            lambda: "began_anew" in diagnostics(observer)["reason_keys"], "the reason in diagnostics"
+            lambda: "began_anew" in diagnostics(observer)["reason_keys"],
+            "the reason in diagnostics",
         )
         assert int(diagnostics(observer)["imu_rejected"]) >= 3
     assert "40.000000 deg" in log.read_text()
