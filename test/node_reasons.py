@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-import test_node_reasons_odo as odo
-import test_node_reasons_swing as swing
+import node_reasons_odo as odo
+import node_reasons_swing as swing
 
 from sins_align.reasons import REASONS
 
