@@ -140,6 +140,14 @@ def short(options: SwingOptions, latitude_deg: float = LATITUDE_DEG) -> Witness 
     return fit_of(filtered).compare(filtered.solution, filtered.prior, filtered.epochs, 1.0, 1e-6)
 
 
+@pytest.mark.parametrize("turn_deg", [10.0, 30.0])
+def test_none_once_the_base_has_turned(turn_deg: float) -> None:
+    """A swing is no turn, however large."""
+    options = replace(OPTIONS, scenario="pitch", seed=1, duration_s=70.0)
+    turned = replace(options, turn_deg=turn_deg, turn_start_s=30.0, turn_duration_s=5.0)
+    assert (short(turned) is None) == (turn_deg > 20.0)
+
+
 def test_none_in_the_first_half_minute_and_at_the_pole() -> None:
     still = replace(OPTIONS, scenario="still", seed=1)
     assert short(replace(still, duration_s=29.0)) is None

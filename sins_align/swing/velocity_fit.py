@@ -29,13 +29,14 @@ from sins_align.swing.two_stage import (
     GravityModel,
     NoiseModel,
 )
-from sins_align.types import Witness
+from sins_align.types import Array, Witness
 
 NAME = "velocity fit"
 FIRST_S = 30.0
 # A base that has turned by more than this [rad] has turned its biases with it, of which the fit
-# knows nothing: 20 ug are then 10' of its heading, and it is no witness any more.
-TURNED = 0.35
+# knows nothing: 20 ug are then 10' of its heading, and it is no witness any more. A swing does not
+# count: means of so many epochs are compared.
+TURNED, MEAN_OF = 0.35, 20
 # Least squares of a random walk is so much worse than the best, in variance.
 UNWEIGHTED = 1.2
 
@@ -50,7 +51,6 @@ class VelocityFit:
 
     def __init__(self, gravity: GravityModel, noise: NoiseModel) -> None:
         self._gravity, self._noise = gravity, noise
-        self._has_turned = False
         self._normal = np.zeros((BASE + 1, BASE + 1))
         self._velocity = np.zeros(3)
         self._count = 0
@@ -71,8 +71,6 @@ class VelocityFit:
         C = epochs.C[self._count :]
         A[:, :, LEVER] = (C[:-1] - C[1:]) / T[:, None, None]
         A[:, :, DATA] = before + epochs.s[new] / T[:, None]
-        traces = np.einsum("kii->k", C)
-        self._has_turned |= bool(traces.min() < 1.0 + 2.0 * math.cos(TURNED))
         flat = A.reshape(-1, BASE + 1)
         self._normal += flat.T @ flat
         self._count += K
@@ -88,7 +86,8 @@ class VelocityFit:
         position : variance of the centre's position at an epoch [m^2]
         """
         time_s = float(epochs.time_s[-1])
-        if self._has_turned or time_s < FIRST_S or abs(math.cos(self._gravity.latitude)) < 1e-3:
+        is_polar = abs(math.cos(self._gravity.latitude)) < 1e-3
+        if time_s < FIRST_S or is_polar or _has_turned(epochs.C):
             return None
         # In units of what a mean velocity is uncertain by, for the prior of the lever arm.
         normal = self._normal / self._white(time_s, position)
@@ -123,3 +122,10 @@ class VelocityFit:
         force += 720.0 * white / (self._count * time_s**4)
         gyro = UNWEIGHTED * noise.gyro**2 / time_s
         return (force / model.magnitude**2 + gyro) / horizontal**2
+
+
+def _has_turned(C: Array) -> bool:
+    """Whether the base has turned since its start, its swing apart; C (K, 3, 3): b -> b0."""
+    count = C.shape[0] // MEAN_OF
+    means = C[: count * MEAN_OF].reshape(count, MEAN_OF, 3, 3).mean(axis=1)
+    return bool(np.einsum("ij,kij->k", means[0], means).min() < 1.0 + 2.0 * math.cos(TURNED))
