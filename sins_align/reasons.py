@@ -317,6 +317,15 @@ UNSTEADY = Reason(
     "Ends when heading is where it was before, as far as its sigma tells; or restart.",
     "swing",
 )
+GYRO_NOISY = Reason(
+    "gyro_noisy",
+    Kind.DOUBT,
+    "the gyros are noisier than declared: {factor:g} times the declared noise explains the data"
+    " better, by a factor of e^{log_ratio:.0f}",
+    "declare the noise they have (imu_grade, gyro_arw_deg_sqrt_h); see that nothing shakes the IMU",
+    "Ends when the declared noise explains the data again, or after a restart.",
+    "swing",
+)
 STAMP_JITTER = Reason(
     "stamp_jitter",
     Kind.DOUBT,

@@ -13,7 +13,11 @@ been reached is left at a bound by `HYSTERESIS` wider than that at which it was 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
 
 from sins_align.config import Completion
 from sins_align.grades import ImuGrade
@@ -56,6 +60,10 @@ MAX_DISAGREEMENT = 1.0
 MAX_UNSTEADINESS = 9.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
+# So rarely is a true bias of the gyros as long as one that is doubted. What the data tell of it
+# tells on the east one, too, which on a base that does not turn is an error of heading and no more.
+RARE_GYRO_BIAS = 1e-3
+LEAST_TOLD = 0.1  # components of it
 
 
 class Declared(NamedTuple):
@@ -231,24 +239,29 @@ class Completer:
         if witness is not None and not witness.square <= self._widened(MAX_DISAGREEMENT):
             heading, ratio = abs(float(witness.phi[2])) / ARCMIN, math.sqrt(witness.square)
             doubts.append(WITNESS_DIFFERS(name=witness.name, heading=heading, ratio=ratio))
-        for what, found, declared in self._beyond(estimate):
-            if declared > 0.0 and found > self._widened(MAX_BIAS_RATIO) * declared:
-                doubts.append(BIAS_BEYOND(what=what, ratio=found / declared))
+        for what, ratio, most in self._beyond(estimate):
+            if not ratio <= self._widened(most):
+                doubts.append(BIAS_BEYOND(what=what, ratio=ratio))
         return doubts
 
-    def _beyond(self, estimate: Estimate) -> list[tuple[str, float, float]]:
-        """Estimates and what is declared of them, 1 sigma."""
+    def _beyond(self, estimate: Estimate) -> Iterator[tuple[str, float, float]]:
+        """Estimates over what is declared of them, and the most of that which is believed."""
         declared = self._expectation.declared
-        found = [("gyro bias", max(map(abs, estimate.gyro_bias.tolist())), declared.gyro_bias)]
+        if declared.gyro_bias > 0.0:
+            ratio = math.hypot(*estimate.gyro_bias.tolist()) / declared.gyro_bias
+            # Of a bias that the data do not tell the estimate is zero: it does not count.
+            told = 1.0 - np.minimum(estimate.gyro_bias_sigma / declared.gyro_bias, 1.0) ** 2
+            most = math.sqrt(chdtri(max(float(told.sum()), LEAST_TOLD), RARE_GYRO_BIAS))
+            yield "gyro bias", ratio, most
         if declared.accel_bias > 0.0:
             # Along up, it also stands for a height that is wrong.
             up = dcm_from_quaternion(estimate.q_nb)[2]
             level = estimate.accel_bias - (estimate.accel_bias @ up) * up
-            found.append(("accelerometer bias", math.hypot(*level), declared.accel_bias))
-        if estimate.odometer is not None:
-            scale = abs(estimate.odometer.scale_error)
-            found.append(("odometer scale error", scale, declared.odometer_scale))
-        return found
+            ratio = math.hypot(*level.tolist()) / declared.accel_bias
+            yield "accelerometer bias", ratio, MAX_BIAS_RATIO
+        if estimate.odometer is not None and declared.odometer_scale > 0.0:
+            ratio = abs(estimate.odometer.scale_error) / declared.odometer_scale
+            yield "odometer scale error", ratio, MAX_BIAS_RATIO
 
     def _latitude(self, estimate: Estimate) -> list[Finding]:
         """Whether the latitude given is that of the data."""

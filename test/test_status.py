@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from sins_align.config import Completion
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
@@ -32,6 +33,7 @@ from sins_align.status import (
     MAX_CONSISTENCY,
     MAX_DISAGREEMENT,
     MAX_UNSTEADINESS,
+    RARE_GYRO_BIAS,
     Completer,
     Declared,
     Expectation,
@@ -68,6 +70,10 @@ def expecting(
     gyro_bias = heading_limit * EARTH_RATE * math.cos(LATITUDE)
     grade = ImuGrade(gyro_bias=gyro_bias, accel_bias=level_limit * GRAVITY_EQUATOR)
     return Expectation(grade, POSITION, declared, latitude_check, motion)
+
+
+# The length of a gyro bias of which the data tell all three components.
+ALL_TOLD = math.sqrt(chi2.isf(RARE_GYRO_BIAS, 3))
 
 
 def estimate(
@@ -252,7 +258,7 @@ CRITERIA: dict[str, Callable[[float], Estimate]] = {
     "inconsistent": lambda k: having(consistency=k * MAX_CONSISTENCY),
     "unsteady": lambda k: having(steadiness=k * MAX_UNSTEADINESS),
     "witness_differs": lambda k: having(witness=Witness("x", np.zeros(3), k * MAX_DISAGREEMENT)),
-    "bias_beyond gyro": lambda k: having(gyro_bias=np.array([0.0, -k * MAX_BIAS_RATIO * 1e-6, 0])),
+    "bias_beyond gyro": lambda k: having(gyro_bias=np.array([0.0, -k * ALL_TOLD * 1e-6, 0])),
     "bias_beyond accel": lambda k: having(accel_bias=np.array([k * MAX_BIAS_RATIO * 1e-3, 0, 0])),
     "bias_beyond scale": lambda k: having(
         odometer=dataclasses.replace(ODOMETER, scale_error=-k * MAX_BIAS_RATIO * 0.01)
@@ -394,6 +400,21 @@ def test_a_bias_beyond_the_declared_one_is_not_aligned() -> None:
     status = status_of(found, expecting(declared=Declared(1e-6)))
     assert status.state is State.FINE
     assert "gyro bias is 6.0 times" in status.reason
+
+
+@pytest.mark.parametrize("told", [1, 2, 3])
+def test_of_fewer_components_a_shorter_gyro_bias_is_doubted(told: int) -> None:
+    """The bound is of chi-square with as many degrees of freedom as the data tell."""
+    sigma = np.where(np.arange(3) < told, 0.0, 1e-6)
+    bound = 1e-6 * math.sqrt(chi2.isf(RARE_GYRO_BIAS, told))
+    for k, state in ((0.99, State.ALIGNED), (1.01, State.FINE)):
+        found = having(gyro_bias=np.array([k * bound, 0.0, 0.0]), gyro_bias_sigma=sigma)
+        assert status_of(found, expecting(declared=Declared(1e-6))).state is state
+
+
+def test_a_bias_that_is_no_number_is_not_aligned() -> None:
+    found = having(gyro_bias=np.array([math.nan, 0.0, 0.0]))
+    assert status_of(found, expecting(declared=Declared(1e-6))).state is not State.ALIGNED
 
 
 def test_an_accelerometer_bias_beyond_the_declared_one_is_not_aligned() -> None:

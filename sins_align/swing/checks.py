@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 from sins_align.limits import latitude_differs
 from sins_align.swing.epochs import Epochs
-from sins_align.swing.latitude import latitude_column
+from sins_align.swing.latitude import earth_rate_slope, latitude_column
 from sins_align.swing.solution import KAPPA, Solution, Solver
 from sins_align.swing.steadiness import Steadiness
-from sins_align.swing.two_stage import GravityModel, NoiseModel, TwoStageFilter
+from sins_align.swing.two_stage import PHI, GravityModel, NoiseModel, TwoStageFilter
 from sins_align.swing.velocity_fit import VelocityFit
 from sins_align.types import Array, LatitudeEstimate, Witness
 
@@ -18,8 +18,8 @@ class Report(NamedTuple):
     """What the tests say of a solution.
 
     witness, steadiness, latitude : see `Estimate`
-    moved : (3,) what the attitude would change by with the latitude of the data, where that is
-        not the one given, in b0 [rad]; else None
+    moved : (3,) what the attitude at the last epoch would turn by with the latitude of the data,
+        where that is not the one given, in n [rad]; else None
     """
 
     witness: Witness | None
@@ -56,8 +56,12 @@ class Checks:
         filter_: TwoStageFilter,
         epochs: Epochs,
         heading_variance: float,
+        C_nb0: Array,
     ) -> Report:
-        """What is to be said of a solution; heading_variance [rad^2]."""
+        """What is to be said of a solution.
+
+        heading_variance : [rad^2]; C_nb0 : (3, 3) b0 -> n at the last epoch
+        """
         witness = self._fit.compare(
             solution, solver.prior, epochs, heading_variance, filter_.noise.variance
         )
@@ -68,5 +72,8 @@ class Checks:
             off, sigma, response = solver.score(filter_.normal, solution, column)
             latitude = LatitudeEstimate(given + off, sigma)
             if latitude_differs(given, latitude):
-                moved = off * response[KAPPA]
+                # (I + [phi x]) C^ and Exp(-w_ie t) R^T both change.
+                phi = filter_.X[PHI, :-1] @ (solution.jacobian @ response + column)
+                turned = earth_rate_slope(given) * float(epochs.time_s[-1])
+                moved = off * (C_nb0 @ (phi - response[KAPPA]) - turned)
         return Report(witness, self._steadiness.value, latitude, moved)

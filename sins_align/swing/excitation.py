@@ -33,7 +33,7 @@ class LeverDirections(NamedTuple):
 
 
 class LeverExcitation:
-    """Mean square of D = second difference of C over T^2, in each direction of b.
+    """Mean square of D = second divided difference of C, in each direction of b.
 
     The lever arm acts through C r. What of C r is constant or linear in time cannot be told
     from the start position and velocity; the second difference is free of both.
@@ -55,9 +55,11 @@ class LeverExcitation:
     def update(self, epochs: Epochs) -> None:
         """Take in the nodes that are new."""
         first = self._count + 1
-        T = 0.5 * (epochs.duration_s[first - 1 : -1] + epochs.duration_s[first:])
-        C = epochs.C[first - 1 :]
-        D = (C[2:] - 2.0 * C[1:-1] + C[:-2]) / (T * T)[:, None, None]
+        each = epochs.duration_s[first - 1 :]
+        T = 0.5 * (each[:-1] + each[1:])
+        # Epochs differ in length by a sample: the Earth alone would else look like a swing.
+        slope = np.diff(epochs.C[first - 1 :], axis=0) / each[:, None, None]
+        D = np.diff(slope, axis=0) / T[:, None, None]
         flat = D.reshape(-1, 3)
         self._sum += flat.T @ flat
         self._gyro_sum += float((4.0 * self._gyro_noise**2 * T**-3).sum())

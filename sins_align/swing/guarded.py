@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable
 
 from sins_align.earth import earth_rate_n
-from sins_align.reasons import VEHICLE_MOVES
+from sins_align.reasons import AT_POLE, VEHICLE_MOVES
 from sins_align.swing.motion import STILL, MotionWatch
 from sins_align.types import Advance, Aligner, Estimate, ImuBlock, ImuSampling, Position
 
 # A heading so old and so good is right enough for the Earth's axis [s], [rad].
 BELIEVED_S, BELIEVED_SIGMA = 45.0, 0.35
+# Nearer to a pole nothing is tried.
+LEAST_COS_LATITUDE = 1e-6
 
 
 class GuardedAligner:
@@ -32,6 +34,7 @@ class GuardedAligner:
     ) -> None:
         self._make = make
         self._earth_rate_n = earth_rate_n(position.latitude)
+        self._is_polar = abs(math.cos(position.latitude)) < LEAST_COS_LATITUDE
         self._sampling = sampling
         self._begin()
 
@@ -43,8 +46,10 @@ class GuardedAligner:
 
     def update(self, block: ImuBlock) -> list[Advance]:
         """See `Aligner`."""
-        self._watch.update(block)
         stamp_ns = int(block.stamp_ns[-1])
+        if self._is_polar:
+            return [Advance(stamp_ns, None, (AT_POLE(),))]
+        self._watch.update(block)
         if self._first_ns is None:
             self._first_ns = int(block.stamp_ns[0])
         if self._aligner is None:

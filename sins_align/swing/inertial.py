@@ -35,6 +35,7 @@ from sins_align.swing.checks import Checks, Report
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverExcitation
 from sins_align.swing.foresight import time_to
+from sins_align.swing.loudness import Loudness
 from sins_align.swing.solution import (
     KAPPA,
     X_BA,
@@ -117,6 +118,7 @@ class InertialAligner:
         self._lever = self._excitation.directions()
         self._epochs = Epochs()
         self._checks = Checks(self._gravity, self._noise)
+        self._loudness = Loudness(self._noise)
         self._filter = TwoStageFilter(self._noise)
         self._filtered = 0  # epochs that the filter has taken in
         self._about: Linearisation | None = None
@@ -159,7 +161,7 @@ class InertialAligner:
             findings.append(CENTRE_MOVES(moved_mm=1e3 * moved, declared_mm=1e3 * declared))
         if self._lever.considered.shape[1] and self._config.lever_arm_prior_sigma > 0.0:
             findings.append(SWING_WEAK())
-        return tuple(findings)
+        return (*findings, *self._loudness.findings)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """The estimate from all samples to the end of `block`; changes nothing.
@@ -191,8 +193,10 @@ class InertialAligner:
         elif self._solution is not None:
             self._advance()
             self._solution = self._solver().solve(self._filter.normal, self._solution)
-        if self._solution is not None:
+        if self._solution is not None and self._about is not None:
             self._checks.note(self._solution, now)
+            self._loudness.update(self._filter, self._epochs, self._about, self._gravity)
+            self._loudness.compare(self._filter, self._solver(), self._solution)
         self._estimate = self._estimate_now()
 
     @property
@@ -328,8 +332,9 @@ class InertialAligner:
             return None
         heading = self._heading_sigma(self._filter)
         self._report = self._checks.report(
-            solution, self._solver(), self._filter, self._epochs, heading**2
-        )
+            solution, self._solver(), self._filter, self._epochs, heading**2,
+            self._C_nb0(solution, float(self._epochs.time_s[-1])),
+        )  # fmt: skip
         return self._estimate_at(self._stamp_ns, self._epochs.C[-1], 0.0)
 
     def _estimate_at(self, stamp_ns: int, C_b0b: Array, ahead_s: float) -> Estimate:
@@ -345,14 +350,14 @@ class InertialAligner:
         # The random part is that of the last cycle; since then the bias has gone on.
         phi = x[PHI] - C_b0b @ bias * ahead_s
         t = float(self._epochs.time_s[-1]) + ahead_s
-        C_nb0 = exp_rotation(-self._earth_rate_n * t) @ solution.R.T
+        C_nb0 = self._C_nb0(solution, t)
         C_nb = C_nb0 @ exp_rotation(phi) @ C_b0b
         P = _phi_covariance(filter_, solution.jacobian, solution.covariance)
         P += self._noise.gyro**2 * ahead_s * np.eye(3)
+        P_n = C_nb0 @ P @ C_nb0.T
         report = self._report
         if report is not None and report.moved is not None:
-            P += np.outer(report.moved, report.moved)
-        P_n = C_nb0 @ P @ C_nb0.T
+            P_n += np.outer(report.moved, report.moved)
         bias_response = np.zeros((3, solution.x.shape[0]))
         bias_response[:, X_BG] = np.eye(3)
         bias_variance = np.zeros(3)
@@ -374,6 +379,10 @@ class InertialAligner:
             steadiness=math.nan if report is None else report.steadiness,
             latitude=None if report is None else report.latitude,
         )
+
+    def _C_nb0(self, solution: Solution, time_s: float) -> Array:
+        """(3, 3) b0 -> n: the Earth has turned."""
+        return exp_rotation(-self._earth_rate_n * time_s) @ solution.R.T
 
     def _lever_arm(self, solution: Solution) -> LeverArm:
         free, considered = self._lever

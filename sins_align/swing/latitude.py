@@ -16,12 +16,18 @@ import math
 
 import numpy as np
 
+from sins_align.earth import EARTH_RATE
 from sins_align.swing.solution import X_G, Solution
 from sins_align.swing.two_stage import R_EAST, R_NORTH
 from sins_align.types import Array
 
 # Nearer to the equator (and to a pole) there is nothing to be told.
 LEAST_SIN_COS = 0.01
+
+
+def earth_rate_slope(latitude: float) -> Array:
+    """(3,) d w_ie_n / d L, ENU [1/s]."""
+    return EARTH_RATE * np.array([0.0, -math.sin(latitude), math.cos(latitude)])
 
 
 def latitude_column(solution: Solution, latitude: float) -> Array | None:

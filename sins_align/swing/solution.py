@@ -31,6 +31,7 @@ from sins_align.swing.two_stage import (
     R_EAST,
     R_UP,
     V0,
+    TwoStageFilter,
 )
 from sins_align.types import Array
 
@@ -224,6 +225,24 @@ class Solver:
         moved = (cross + response @ N) @ considered / information
         sigma = math.sqrt(1.0 / information + float(moved @ moved))
         return -slope / information, sigma, response
+
+    def log_likelihood(self, filter_: TwoStageFilter, at: Solution) -> float:
+        """Of a filter's noise model, whatever x is (restricted likelihood), but for a constant.
+
+        -(sum log det S + log det N + least sum of squares) / 2, the least one by a Newton step
+        from `at`. All of x is estimated here, none of it considered.
+        """
+        N, gradient = self._reduced(filter_.normal, at)
+        variance = self.prior.variance
+        known = variance > 0.0
+        free = known.copy()
+        free[:6] = True
+        N, gradient = N[np.ix_(free, free)], gradient[free]
+        theta = np.append(at.theta, 1.0)
+        off = (at.x - self.prior.mean)[known]
+        squares = float(theta @ filter_.normal @ theta) + float(off @ (off / variance[known]))
+        squares -= float(gradient @ _inverse(N) @ gradient)
+        return -0.5 * (filter_.log_det + float(np.linalg.slogdet(N)[1]) + squares)
 
     def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
         """Information (m, m) and gradient (m,) of data and prior."""

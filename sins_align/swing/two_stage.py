@@ -254,6 +254,8 @@ class TwoStageFilter:
     x : the random part's estimate is X[:, :-1] theta + X[:, DATA]
     P : (n, n) its covariance for given theta
     normal : (p+1, p+1) sum of E^T S^-1 E
+    log_det : sum of log det S
+    variances : position noise that each epoch was taken in with [m^2]
 
     Parameters
     ----------
@@ -275,11 +277,14 @@ class TwoStageFilter:
         if noise.drift > 0.0:
             self.P[DRIFT, DRIFT] = noise.drift**2 * np.eye(3)
         self.normal = np.zeros((self.columns, self.columns))
+        self.log_det = 0.0
+        self.variances: list[float] = []
 
     def copy(self) -> TwoStageFilter:
         """Another one in the same state."""
         other = copy(self)
         other._M, other.normal = self._M.copy(), self.normal.copy()
+        other.variances = self.variances.copy()
         return other
 
     @property
@@ -302,7 +307,8 @@ class TwoStageFilter:
             part = Steps(*(a[first : first + self.PORTION] for a in steps))
             before, noise = self._M, self.noise
             for _ in range(self.RETRIES):
-                E, SiE, S = self._run_portion(part)
+                variances = [self.noise.variance] * part.F.shape[0]
+                E, SiE, S = self._run_portion(part, variances)
                 if theta is None:
                     break
                 judged = judge(noise, E, S, theta, theta_covariance)
@@ -314,17 +320,28 @@ class TwoStageFilter:
                 self.noise = copy(noise)
                 self.noise.variance, self.noise.has_grown = judged.variance, True
             else:
-                E, SiE, S = self._run_portion(part)
-            self.normal += E.reshape(-1, self.columns).T @ SiE.reshape(-1, self.columns)
+                variances = [self.noise.variance] * part.F.shape[0]
+                E, SiE, S = self._run_portion(part, variances)
+            self._sum_up(E, SiE, S, variances)
+
+    def follow(self, steps: Steps, variances: list[float]) -> None:
+        """Take in epochs with the position noise that another filter took them in with."""
+        if variances:
+            self._sum_up(*self._run_portion(steps, variances), variances)
+
+    def _sum_up(self, E: Array, SiE: Array, S: Array, variances: list[float]) -> None:
+        self.normal += E.reshape(-1, self.columns).T @ SiE.reshape(-1, self.columns)
+        self.log_det += float(np.linalg.slogdet(S)[1].sum())
+        self.variances += variances
         self._M[:, self.columns :] = 0.5 * (self.P + self.P.T)
 
-    def _run_portion(self, steps: Steps) -> tuple[Array, Array, Array]:
-        """Innovations E (K, 3, p+1), S^-1 E, and S (K, 3, 3), with R as it is."""
+    def _run_portion(self, steps: Steps, variances: list[float]) -> tuple[Array, Array, Array]:
+        """Innovations E (K, 3, p+1), S^-1 E, and S (K, 3, 3)."""
         c = self.columns
         K = steps.F.shape[0]
         E, SiE = np.empty((K, 3, c)), np.empty((K, 3, c))
         S = np.empty((K, 3, 3))
-        R = self.noise.variance * np.eye(3)
+        eye = np.eye(3)
         M = self._M
         for k, (F, added, H, observed) in enumerate(zip(*steps, strict=True)):
             M = F @ M
@@ -334,7 +351,7 @@ class TwoStageFilter:
             HM = H @ M
             HM += observed
             HP = HM[:, c:]
-            S[k] = HP @ H.T + R
+            S[k] = HP @ H.T + variances[k] * eye
             _, solved, _ = dposv(S[k], HM, lower=1)
             M -= HP.T @ solved
             E[k], SiE[k] = HM[:, :c], solved[:, :c]
