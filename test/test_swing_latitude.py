@@ -150,5 +150,5 @@ def test_a_wrong_latitude_is_in_the_covariance() -> None:
     attitudes = (dcm_from_quaternion(e.q_nb) for e in (wrong.estimate, right.estimate))
     off = np.abs(misalignment(*attitudes))
     assert off[1] > right.estimate.sigma[1]
-    assert np.sqrt(added[1, 1]) == pytest.approx(off[1], rel=0.1)
+    assert np.sqrt(added[1, 1]) == pytest.approx(off[1], rel=0.25)
     assert (off < 1.5 * wrong.estimate.sigma).all()
