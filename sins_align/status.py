@@ -57,7 +57,7 @@ MAX_CONSISTENCY = 2.0
 # of the difference over its expectation for such.
 MAX_DISAGREEMENT = 1.0
 # Largest square of a change of heading over its variance, of some that are not independent.
-MAX_UNSTEADINESS = 9.0
+MAX_UNSTEADINESS = 16.0
 # A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
 MAX_BIAS_RATIO = 5.0
 # So rarely is a true bias of the gyros as long as one that is doubted. What the data tell of it

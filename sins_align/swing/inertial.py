@@ -25,21 +25,18 @@ from sins_align.increments import integrate_rotation, integrate_windows, join_bl
 from sins_align.reasons import CENTRE_MOVES, HEADING_COARSE, LEVELLING, SWING_WEAK, Finding
 from sins_align.rotation import (
     dcm_from_quaternion,
-    exp_rotation,
     level_axes,
     log_rotation,
     multiply_quaternions,
-    quaternion_from_dcm,
 )
-from sins_align.swing.checks import Checks, Report
+from sins_align.swing.checks import Checks
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverExcitation
 from sins_align.swing.foresight import time_to
 from sins_align.swing.loudness import Loudness
+from sins_align.swing.outcome import C_nb0_at, Outcome, heading_variance, phi_covariance
 from sins_align.swing.solution import (
     KAPPA,
-    X_BA,
-    X_BG,
     X_R,
     Solution,
     Solver,
@@ -47,16 +44,13 @@ from sins_align.swing.solution import (
     start_attitude,
 )
 from sins_align.swing.two_stage import (
-    DATA,
-    DRIFT,
-    PHI,
     GravityModel,
     Linearisation,
     NoiseModel,
     TwoStageFilter,
     build_steps,
 )
-from sins_align.types import Advance, Array, Estimate, ImuBlock, LeverArm, Position
+from sins_align.types import Advance, Array, Estimate, ImuBlock, Position
 
 EPOCH_S = 0.5
 # Times at which the stored increments are run over again [s]; then every three times later.
@@ -64,6 +58,8 @@ REFRESH_S = (5.0, 10.0, 20.0, 30.0)
 REFRESH_FACTOR = 3.0
 CYCLE_SHARE = 0.15  # of the time since the start
 MAX_CYCLE_S = 15.0
+# Half a block: their ends fall on stamps, not on the grid itself.
+GRACE_S = 0.5
 # The noise model needs no new linearisation where the attitude has moved by less, and the
 # lever arm too.
 SAME_ATTITUDE = 0.01  # [rad]
@@ -123,7 +119,7 @@ class InertialAligner:
         self._filtered = 0  # epochs that the filter has taken in
         self._about: Linearisation | None = None
         self._solution: Solution | None = None
-        self._report: Report | None = None
+        self._outcome: Outcome | None = None
         self._estimate: Estimate | None = None
         self._blocks: list[ImuBlock] = []  # since the last cycle
         self._turned: list[Array] = []  # and the rotation over each, where asked for
@@ -138,8 +134,7 @@ class InertialAligner:
         if self._first_ns is None:
             self._first_ns = int(block.stamp_ns[0])
         now = int(block.stamp_ns[-1] - self._first_ns) * 1e-9
-        # Half a block of grace: the ends of blocks fall on stamps, not on the grid itself.
-        if now > self._next_cycle_s - 0.5:
+        if now > self._next_cycle_s - GRACE_S:
             self._next_cycle_s = now + _cycle_s(now)
             self._end_cycle(now)
         elif self._estimate is not None:
@@ -152,7 +147,7 @@ class InertialAligner:
             return (LEVELLING(elapsed_s=now),)
         findings = []
         if self._estimate is None:
-            sigma = math.degrees(min(math.sqrt(_heading_variance(self._solution)), math.pi))
+            sigma = math.degrees(min(math.sqrt(heading_variance(self._solution)), math.pi))
             bound = math.degrees(COARSE_SIGMA)
             findings.append(HEADING_COARSE(sigma=f"sigma {sigma:.0f} deg, not below {bound:.0f}"))
         noise = self._filter.noise
@@ -186,8 +181,8 @@ class InertialAligner:
         self._checks.update(self._epochs)
         self._excitation.update(self._epochs)
         self._lever = self._excitation.directions()
-        if now > self._next_refresh_s - 0.5:
-            later = [t for t in REFRESH_S if t > now + 0.5]
+        if now > self._next_refresh_s - GRACE_S:
+            later = [t for t in REFRESH_S if t > now + GRACE_S]
             self._next_refresh_s = later[0] if later else now * REFRESH_FACTOR
             self._refresh()
         elif self._solution is not None:
@@ -197,7 +192,10 @@ class InertialAligner:
             self._checks.note(self._solution, now)
             self._loudness.update(self._filter, self._epochs, self._about, self._gravity)
             self._loudness.compare(self._filter, self._solver(), self._solution)
-        self._estimate = self._estimate_now()
+        self._outcome = self._outcome_now()
+        self._estimate = None
+        if self._outcome is not None:
+            self._estimate = self._outcome.estimate(self._stamp_ns, self._epochs.C[-1], 0.0)
 
     @property
     def estimate(self) -> Estimate | None:
@@ -219,9 +217,9 @@ class InertialAligner:
     def next_step(self, ahead_s: float) -> float:
         """See `Aligner`: an estimate is made at the end of a cycle."""
         now_s = float(self._epochs.time_s[-1]) + self._since_cycle_s
-        end_s = self._next_cycle_s
-        while end_s < now_s + ahead_s < math.inf:
-            end_s += _cycle_s(end_s)
+        end_s = _cycle_end(self._next_cycle_s)
+        while end_s < now_s + ahead_s - 1e-6 < math.inf:
+            end_s = _cycle_end(end_s + _cycle_s(end_s))
         return max(ahead_s, end_s - now_s)
 
     @property
@@ -234,7 +232,7 @@ class InertialAligner:
 
         The rotation over whole blocks is kept, but it does not depend on who asks when.
         """
-        if self._estimate is None:
+        if self._outcome is None:
             return None
         sampling = self._config.sampling
         for passed in self._blocks[len(self._turned) :]:
@@ -244,7 +242,7 @@ class InertialAligner:
             q = multiply_quaternions(q, turned)
         stamp_ns = int(block.stamp_ns[-1])
         C_b0b = dcm_from_quaternion(q / np.linalg.norm(q))
-        return self._estimate_at(stamp_ns, C_b0b, (stamp_ns - self._stamp_ns) * 1e-9)
+        return self._outcome.estimate(stamp_ns, C_b0b, (stamp_ns - self._stamp_ns) * 1e-9)
 
     def _refresh(self) -> None:
         """Run over the stored increments again until the attitude stays."""
@@ -314,7 +312,7 @@ class InertialAligner:
 
     def _is_coarse(self, solution: Solution) -> bool:
         """Whether heading is known well enough to be spoken of."""
-        return _heading_variance(solution) < COARSE_SIGMA**2
+        return heading_variance(solution) < COARSE_SIGMA**2
 
     def _heading_sigma(self, filter_: TwoStageFilter) -> float:
         """1 sigma of heading with the information of `filter_` [rad]."""
@@ -322,83 +320,23 @@ class InertialAligner:
         assert solution is not None
         covariance = self._solver().covariance(filter_.normal, solution)
         up = solution.R[:, 2]
-        P = _phi_covariance(filter_, solution.jacobian, covariance)
+        P = phi_covariance(filter_, solution.jacobian, covariance)
         return math.sqrt(float(up @ P @ up))
 
-    def _estimate_now(self) -> Estimate | None:
+    def _outcome_now(self) -> Outcome | None:
         solution = self._solution
         if solution is None or not self._is_coarse(solution):
-            self._report = None
             return None
-        heading = self._heading_sigma(self._filter)
-        self._report = self._checks.report(
-            solution, self._solver(), self._filter, self._epochs, heading**2,
-            self._C_nb0(solution, float(self._epochs.time_s[-1])),
+        time_s = float(self._epochs.time_s[-1])
+        report = self._checks.report(
+            solution, self._solver(), self._filter, self._epochs,
+            self._heading_sigma(self._filter) ** 2,
+            C_nb0_at(time_s, self._earth_rate_n, solution),
         )  # fmt: skip
-        return self._estimate_at(self._stamp_ns, self._epochs.C[-1], 0.0)
-
-    def _estimate_at(self, stamp_ns: int, C_b0b: Array, ahead_s: float) -> Estimate:
-        """The solution as attitude at a time, `ahead_s` after the last epoch.
-
-        C_nb = Exp(-w_ie t) R^T (I + [phi x]) C^
-        """
-        solution, filter_ = self._solution, self._filter
-        assert solution is not None
-        theta = solution.theta
-        x = filter_.X[:, :-1] @ theta + filter_.X[:, DATA]
-        bias = theta[15:18] + (x[DRIFT] if self._noise.drift > 0.0 else 0.0)
-        # The random part is that of the last cycle; since then the bias has gone on.
-        phi = x[PHI] - C_b0b @ bias * ahead_s
-        t = float(self._epochs.time_s[-1]) + ahead_s
-        C_nb0 = self._C_nb0(solution, t)
-        C_nb = C_nb0 @ exp_rotation(phi) @ C_b0b
-        P = _phi_covariance(filter_, solution.jacobian, solution.covariance)
-        P += self._noise.gyro**2 * ahead_s * np.eye(3)
-        P_n = C_nb0 @ P @ C_nb0.T
-        report = self._report
-        if report is not None and report.moved is not None:
-            P_n += np.outer(report.moved, report.moved)
-        bias_response = np.zeros((3, solution.x.shape[0]))
-        bias_response[:, X_BG] = np.eye(3)
-        bias_variance = np.zeros(3)
-        if self._noise.drift > 0.0:
-            bias_response += filter_.X[DRIFT, :-1] @ solution.jacobian
-            bias_variance = filter_.P[DRIFT, DRIFT].diagonal()
-        bias_covariance = bias_response @ solution.covariance @ bias_response.T
-        return Estimate(
-            stamp_ns=stamp_ns,
-            q_nb=quaternion_from_dcm(C_nb),
-            misalignment_covariance=0.5 * (P_n + P_n.T),
-            gyro_bias=bias,
-            gyro_bias_sigma=np.sqrt(bias_variance + bias_covariance.diagonal()),
-            accel_bias=solution.x[X_BA],
-            accel_bias_sigma=np.sqrt(solution.covariance.diagonal()[X_BA]),
-            lever_arm=self._lever_arm(solution),
-            consistency=filter_.noise.consistency,
-            witness=None if report is None else report.witness,
-            steadiness=math.nan if report is None else report.steadiness,
-            latitude=None if report is None else report.latitude,
-        )
-
-    def _C_nb0(self, solution: Solution, time_s: float) -> Array:
-        """(3, 3) b0 -> n: the Earth has turned."""
-        return exp_rotation(-self._earth_rate_n * time_s) @ solution.R.T
-
-    def _lever_arm(self, solution: Solution) -> LeverArm:
-        free, considered = self._lever
-        frozen = np.eye(3) - free @ free.T
-        # What is considered is in the solution's covariance; the rest is the prior.
-        unknown = frozen - considered @ considered.T
-        covariance = solution.covariance[X_R, X_R]
-        covariance = covariance + self._config.lever_arm_prior_sigma**2 * unknown
-        x, y, z = (bool(share < 0.1) for share in frozen.diagonal())
-        return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
-
-
-def _heading_variance(solution: Solution) -> float:
-    """Of the attitude at the first sample [rad^2]."""
-    up = solution.R[:, 2]
-    return float(up @ solution.covariance[KAPPA, KAPPA] @ up)
+        return Outcome(
+            solution, self._filter, self._noise, report, self._lever,
+            self._config.lever_arm_prior_sigma, self._earth_rate_n, time_s,
+        )  # fmt: skip
 
 
 def _cycle_s(now: float) -> float:
@@ -406,12 +344,6 @@ def _cycle_s(now: float) -> float:
     return min(max(1.0, CYCLE_SHARE * now), MAX_CYCLE_S)
 
 
-def _phi_covariance(filter_: TwoStageFilter, jacobian: Array, covariance: Array) -> Array:
-    """(3, 3) of the attitude's error in b0: the filter's own, its response to x, and kappa.
-
-    jacobian : (p, m) d theta / d x; covariance : (m, m) of x
-    """
-    response = filter_.X[PHI, :-1] @ jacobian
-    response[:, KAPPA] -= np.eye(3)
-    P: Array = filter_.P[PHI, PHI] + response @ covariance @ response.T
-    return P
+def _cycle_end(due_s: float) -> float:
+    """When a cycle ends that is due then: with a block, which is a second [s]."""
+    return math.floor(due_s - GRACE_S) + 1.0
