@@ -46,6 +46,8 @@ LOOSE = {
 }
 # One that is refused.
 NO_SAMPLE = ImuSamples(np.zeros(1, np.int64), np.full((3, 1), np.nan), np.zeros((3, 1)))
+# Of the data that have ended, where a busy machine lets time pass.
+SILENT = {"imu_silent"}
 NAMES = {SWING: "swing_align", ODO: "odo_align"}
 
 
@@ -183,15 +185,17 @@ class Live:
         noted : the reasons that are said all the same
         """
         self.play(drive, player)
-        self._said_now(
-            lambda s: (
+
+        def is_it(status: DiagnosticStatus) -> bool:
+            keys = keys_of(status)
+            return (
                 self.is_aligned
-                and values_of(s)["state"] == "aligned"
-                and keys_of(s) == noted
-                and (s.level == DiagnosticStatus.OK) == (not noted)
-            ),
-            "to be aligned",
-        )
+                and values_of(status)["state"] == "aligned"
+                and keys - SILENT == noted
+                and (status.level == DiagnosticStatus.OK) == (not keys)
+            )
+
+        self._said_now(is_it, "to be aligned")
 
     def _said_now(self, is_it: Callable[[DiagnosticStatus], bool], what: str) -> DiagnosticStatus:
         """Diagnostics from now on that are as wanted: what was said before is of old data."""
@@ -252,6 +256,8 @@ class Nodes:
     def check(self, case: Case) -> None:
         """Every stage of a case, and the way to aligned."""
         live = self.get(case.module, **case.parameters)
+        # Starts while the other one is at work.
+        mending = self.get(case.module, **{**case.parameters, **case.remedy})
         drives = [*(stage.drive for stage in case.stages), case.mended]
         live.begin(next(drive for drive in drives if drive is not None)())
         for stage in case.stages:
@@ -259,10 +265,9 @@ class Nodes:
         if case.mended is None:
             return
         mended = case.mended()
-        if case.remedy:
-            live = self.get(case.module, **{**case.parameters, **case.remedy})
-            live.begin(mended)
-        live.align(mended)
+        if mending is not live:
+            mending.begin(mended)
+        mending.align(mended)
 
 
 @contextmanager
