@@ -28,7 +28,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH LD_LIBRARY_PATH
 endif
 
 .DELETE_ON_ERROR:
-.PHONY: venv demo test reasons colcon bench evidence clean distclean
+.PHONY: venv demo test colcon bench evidence clean distclean
 
 venv: $(STAMP)
 
@@ -70,10 +70,6 @@ test: venv
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
-
-# Every reason through real nodes, and what mends it: some minutes, not in `test` yet.
-reasons: venv
-	$(BIN)/python -m pytest test/node_reasons.py test/node_reasons_swing.py test/node_reasons_odo.py
 
 colcon: venv
 	PATH="$(CURDIR)/$(BIN):$$PATH" .ci/check_colcon

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -60,9 +61,7 @@ def arguments(parameters: dict[str, object]) -> list[str]:
     return ["--ros-args", *(word for text in texts for word in ("-p", text))]
 
 
-def run_module(
-    module: str, *words: str, timeout: float = DEADLINE_S
-) -> subprocess.CompletedProcess[str]:
+def run_module(module: str, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", module, *words],
         env=ENVIRONMENT, timeout=DEADLINE_S, text=True, capture_output=True, check=False,
@@ -127,6 +126,33 @@ class Observer:
         future = client.call_async(request or service_type.Request())
         self.wait(future.done, f"the answer of {name}")
         return future.result()
+
+    def listen_to_diagnostics(self) -> None:
+        self.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+
+    def wait_for_diagnostics(self) -> None:
+        """Begin to listen, and wait for the first: a node is up."""
+        self.listen_to_diagnostics()
+        self.wait(self.diagnostics, "diagnostics")
+
+    def diagnostics(self, index: int = -1) -> dict[str, str]:
+        """Keys and values of the newest ones, or of those before; none where none have come."""
+        seen = self.received["/diagnostics"]
+        return diagnostic_values(seen[index]) if seen else {}
+
+    @property
+    def state(self) -> str:
+        """As the newest diagnostics have it, '' where there are none."""
+        return self.diagnostics().get("state", "")
+
+    def profile(self, node_name: str, topic: str) -> QoSProfile:
+        """Of that node's one publisher or subscription of a topic."""
+        found = [
+            *self.node.get_publishers_info_by_topic(topic),
+            *self.node.get_subscriptions_info_by_topic(topic),
+        ]
+        (profile,) = [entry.qos_profile for entry in found if entry.node_name == node_name]
+        return profile
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -236,17 +262,3 @@ class Player:
         while self._rows and self._rows[0].stamp_ns <= until_ns:
             row = self._rows.pop(0)
             self._odom.publish(odometer_message(ros_types, self._odom_type, row, "base_link"))
-
-
-def play(
-    observer: Observer,
-    imu: ImuSamples,
-    odometer: OdometerSamples | None = None,
-    node: str = "swing_align",
-    imu_topic: str = "/imu",
-    odom_topic: str = "/odom",
-    position: Position | None = None,
-) -> None:
-    """`Player` for one go; an odometer goes out as TwistStamped."""
-    odom_type = None if odometer is None else "TwistStamped"
-    Player(observer, node, imu_topic, odom_topic, odom_type, position).play(imu, odometer)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ from node_harness import (
     diagnostic_values,
     observing,
     running,
+    stamp_ns,
+    stop,
 )
 from rclpy.publisher import Publisher
 from reason_drives import Drive
@@ -35,9 +38,16 @@ BY_KEY = {reason.key: reason for reason in REASONS}
 # Between two cases on one node: the second one begins anew.
 PAUSE_NS = 2_000_000_000
 PLACE = {"latitude_deg": 40.0, "longitude_deg": 116.0, "altitude_m": 50.0}
-LOOSE = {"heading_threshold_arcmin": 30.0, "level_threshold_arcsec": 400.0, "hold_s": 2.0}
+LOOSE = {
+    "heading_threshold_arcmin": 30.0,
+    "level_threshold_arcsec": 400.0,
+    "hold_s": 2.0,
+    "publish_rate_hz": 1.0,
+}
 # One that is refused.
 NO_SAMPLE = ImuSamples(np.zeros(1, np.int64), np.full((3, 1), np.nan), np.zeros((3, 1)))
+# Of the data that have ended, where a busy machine lets time pass.
+SILENT = {"imu_silent"}
 NAMES = {SWING: "swing_align", ODO: "odo_align"}
 
 
@@ -77,23 +87,36 @@ class Case:
 
 
 class Live:
-    """A node that runs, in a namespace of its own, and what it says."""
+    """A node that runs, in a namespace of its own, and what it says.
+
+    said : diagnostics of all nodes, by their names, with their stamps
+    """
 
     def __init__(
-        self, stack: ExitStack, module: str, parameters: Mapping[str, object], space: str, log: Path
+        self, nodes: Nodes, module: str, parameters: Mapping[str, object], space: str
     ) -> None:
-        self.observer: Observer = stack.enter_context(observing())
-        self._log = log
+        self.observer = nodes.observer
         self.name = f"{space}/{NAMES[module]}"
+        self._said = nodes.said[self.name]
         self._topics = f"/{space}/imu", f"/{space}/odom"
         self._odom_type = "TwistStamped" if module == ODO else None
-        self.observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+        self._log = nodes.folder / space
         self.observer.listen(Bool, f"/{self.name}/aligned", LATCHED)
         words = [*arguments(dict(parameters)), "-r", f"__ns:=/{space}", "-r", "fix:=/fix"]
-        stack.enter_context(running(module, *words, log=log))
+        self._process = nodes.stack.enter_context(running(module, *words, log=self._log))
         self._player: Player | None = None
         self.shift_ns = 0
         self._end_ns: int | None = None
+
+    @property
+    def log(self) -> str:
+        """What it has written so far."""
+        return self._log.read_text()
+
+    def end(self) -> None:
+        """As with Ctrl-C."""
+        assert stop(self._process) == 0, self.log
+        assert "Traceback" not in self.log
 
     def player(self, position: Position | None = None) -> Player:
         """A new one, once the node has answered it: it may know of the node before that of it."""
@@ -128,32 +151,25 @@ class Live:
         (player or self._player).play(shifted.imu, shifted.odometer)
 
     @property
-    def seen(self) -> list[DiagnosticStatus]:
-        """Its diagnostics so far."""
-        found = [message.status[0] for message in self.observer.received["/diagnostics"]]
-        return [status for status in found if status.hardware_id == self.name]
-
-    @property
     def is_aligned(self) -> bool:
         said = self.observer.received[f"/{self.name}/aligned"]
         return bool(said) and said[-1].data
 
     def wait_for(self, stage: Stage) -> None:
         """Play a stage and wait until its reasons are said, with their remedies."""
-        begin, log_begin = len(self.seen), len(self._log.read_text())
+        log_begin = len(self.log)
         if stage.drive is not None:
             self.play(stage.drive())
         texts = [BY_KEY[key].says.partition("{")[0] for key in stage.keys]
         if stage.in_log:
             self.observer.wait(
-                lambda: all(text in self._log.read_text()[log_begin:] for text in texts),
+                lambda: all(text in self.log[log_begin:] for text in texts),
                 f"{stage.keys} in the log",
             )
             return
-        self.observer.wait(lambda: self._saying(begin, stage.keys), f"{stage.keys}")
-        status = self._saying(begin, stage.keys)[-1]
+        status = self._said_now(lambda s: set(stage.keys) <= keys_of(s), f"{stage.keys}")
         assert status.level != DiagnosticStatus.OK
-        values = {entry.key: entry.value for entry in status.values}
+        values = values_of(status)
         for key, text in zip(stage.keys, texts, strict=True):
             reason = BY_KEY[key]
             assert text in values["reason"]
@@ -161,53 +177,87 @@ class Live:
             assert values["remedy"] or not reason.remedy
             assert reason.kind is Kind.NOTE or not self.is_aligned
 
-    def _saying(self, begin: int, keys: tuple[str, ...]) -> list[DiagnosticStatus]:
-        """Diagnostics with all of the keys."""
-        found = self.seen[begin:]
-        return [s for s in found if set(keys) <= set(_value(s, "reason_keys").split())]
+    def align(
+        self, drive: Drive, player: Player | None = None, noted: frozenset[str] = frozenset()
+    ) -> None:
+        """Play what leads to aligned, and wait until that is said everywhere.
 
-    def align(self, drive: Drive, player: Player | None = None) -> None:
-        """Play what leads to aligned, and wait until that is said everywhere."""
-        begin = len(self.seen)
+        noted : the reasons that are said all the same
+        """
         self.play(drive, player)
-        self.observer.wait(
-            lambda: (
+
+        def is_it(status: DiagnosticStatus) -> bool:
+            keys = keys_of(status)
+            return (
                 self.is_aligned
-                and any(
-                    s.level == DiagnosticStatus.OK and _value(s, "state") == "aligned"
-                    for s in self.seen[begin:]
-                )
-            ),
-            f"{self.name} to be aligned; it said {[s.message for s in self.seen[-3:]]}",
-        )
+                and values_of(status)["state"] == "aligned"
+                and keys - SILENT == noted
+                and (status.level == DiagnosticStatus.OK) == (not keys)
+            )
+
+        self._said_now(is_it, "to be aligned")
+
+    def _said_now(self, is_it: Callable[[DiagnosticStatus], bool], what: str) -> DiagnosticStatus:
+        """Diagnostics from now on that are as wanted: what was said before is of old data."""
+        now_ns = self.observer.node.get_clock().now().nanoseconds
+        found: list[DiagnosticStatus] = []
+
+        def is_said() -> bool:
+            found[:] = [s for stamp, s in self._said if stamp >= now_ns and is_it(s)]
+            return bool(found)
+
+        try:
+            self.observer.wait(is_said, what)
+        except AssertionError as error:
+            last = [(s.message, values_of(s)["reason_keys"]) for _, s in self._said[-3:]]
+            raise AssertionError(f"{error}; {self.name} said {last}") from None
+        return found[-1]
 
 
-def _value(status: DiagnosticStatus, key: str) -> str:
-    return diagnostic_values(DiagnosticArray(status=[status]))[key]
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    return diagnostic_values(DiagnosticArray(status=[status]))
+
+
+def keys_of(status: DiagnosticStatus) -> set[str]:
+    """Of the reasons."""
+    return set(values_of(status)["reason_keys"].split())
 
 
 class Nodes:
     """Nodes that run, by their parameters: one is started where there is none."""
 
     def __init__(self, stack: ExitStack, folder: Path) -> None:
-        self._stack, self._folder = stack, folder
+        self.stack, self.folder = stack, folder
+        self.observer: Observer = stack.enter_context(observing())
+        self.said: dict[str, list[tuple[int, DiagnosticStatus]]] = defaultdict(list)
         self._running: dict[object, Live] = {}
+        self._count = 0
+        self.observer.node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, RELIABLE
+        )
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        (status,) = message.status
+        self.said[status.hardware_id].append((stamp_ns(message), status))
 
     def start(self, module: str, parameters: Mapping[str, object]) -> Live:
         """A new one with just these parameters."""
-        count = len(list(self._folder.iterdir()))
-        return Live(self._stack, module, parameters, f"n{count}", self._folder / f"log{count}")
+        self._count += 1
+        return Live(self, module, parameters, f"n{self._count}")
 
     def get(self, module: str, **parameters: object) -> Live:
         """The one with `PLACE`, `LOOSE` and these."""
+        parameters = {**PLACE, **LOOSE, **parameters}
         key = (module, *sorted(parameters.items()))
         if key not in self._running:
-            self._running[key] = self.start(module, {**PLACE, **LOOSE, **parameters})
+            self._running[key] = self.start(module, parameters)
         return self._running[key]
 
     def check(self, case: Case) -> None:
         """Every stage of a case, and the way to aligned."""
         live = self.get(case.module, **case.parameters)
+        # Starts while the other one is at work.
+        mending = self.get(case.module, **{**case.parameters, **case.remedy})
         drives = [*(stage.drive for stage in case.stages), case.mended]
         live.begin(next(drive for drive in drives if drive is not None)())
         for stage in case.stages:
@@ -215,10 +265,9 @@ class Nodes:
         if case.mended is None:
             return
         mended = case.mended()
-        if case.remedy:
-            live = self.get(case.module, **{**case.parameters, **case.remedy})
-            live.begin(mended)
-        live.align(mended)
+        if mending is not live:
+            mending.begin(mended)
+        mending.align(mended)
 
 
 @contextmanager

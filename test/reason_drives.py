@@ -11,9 +11,12 @@ from typing import Any
 import numpy as np
 
 from sins_align.simulate import SwingOptions, VehicleOptions, simulate_swing, simulate_vehicle
+from sins_align.simulate.attitude_motion import AxisRotation, RotationStep, SmoothTurn
+from sins_align.simulate.scenarios import Still
 from sins_align.types import Array, ImuSamples, OdometerSamples
 
 RATE_HZ = 20.0
+ROCK_S = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,3 +95,19 @@ def vehicle(scenario: str, duration_s: float, **changes: Any) -> Drive:
     options = {"grade": "fog", "seed": 2, "rate_hz": RATE_HZ, **changes}
     run = simulate_vehicle(VehicleOptions(scenario=scenario, duration_s=duration_s, **options))
     return Drive(run.imu, run.odometer, int(run.imu.stamp_ns[0]))
+
+
+@dataclass(frozen=True)
+class Rocking(Still):
+    """A base that is rocked to one side and back, until it is still."""
+
+    angle_deg: float = 0.1
+    until_s: float = 40.0
+    name: str = "rocking"
+
+    def rotations(self, phases: Array) -> tuple[RotationStep, ...]:
+        """As `Scenario`."""
+        angle = math.radians(self.angle_deg)
+        count = 2 * round(self.until_s / (2.0 * ROCK_S))
+        rocks = (SmoothTurn((-1) ** k * angle, k * ROCK_S, ROCK_S) for k in range(count))
+        return (*(AxisRotation(0, rock) for rock in rocks), *super().rotations(phases))

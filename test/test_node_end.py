@@ -14,17 +14,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray
 from node_harness import (
     DEADLINE_S,
     ODO,
-    RELIABLE,
     SWING,
     SYNTH,
-    Observer,
     Player,
     arguments,
-    diagnostic_values,
     observing,
     running,
     stop,
@@ -38,16 +34,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 BOTH = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 EXECUTORS = pytest.mark.parametrize("executor", ["single", "events"])
-
-
-def diagnostics(observer: Observer) -> dict[str, str]:
-    seen = observer.received["/diagnostics"]
-    return diagnostic_values(seen[-1]) if seen else {}
-
-
-def wait_until_up(observer: Observer) -> None:
-    observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
-    observer.wait(lambda: diagnostics(observer), "diagnostics")
 
 
 def stop_twice(process: subprocess.Popen[bytes], number: int) -> int:
@@ -103,7 +89,7 @@ def test_a_signal_while_it_waits(tmp_path: Path, executor: str, number: int) -> 
     result, log = tmp_path / "result.json", tmp_path / "log"
     words = arguments({"executor": executor, "result_file": result})
     with observing() as observer, running(SWING, *words, log=log) as process:
-        wait_until_up(observer)
+        observer.wait_for_diagnostics()
         assert stop_twice(process, number) == 0
     check_log(log)
     document = json.loads(result.read_text())
@@ -140,8 +126,8 @@ def test_signal_while_samples_come_with_the_events_executor(tmp_path: Path) -> N
         running(SWING, *arguments(node), log=tmp_path / "node") as process,
         running(SYNTH, *arguments(synth), log=tmp_path / "synth") as player,
     ):
-        wait_until_up(observer)
-        observer.wait(lambda: float(diagnostics(observer)["elapsed_s"]) >= 2.0, "samples")
+        observer.wait_for_diagnostics()
+        observer.wait(lambda: float(observer.diagnostics()["elapsed_s"]) >= 2.0, "samples")
         assert stop(process, signal.SIGTERM) == 0
         assert stop(player, signal.SIGINT) == 0
     for name in ("node", "synth"):
@@ -184,7 +170,7 @@ def test_a_result_that_cannot_be_written_at_the_end_is_no_success(tmp_path: Path
     folder.mkdir()
     words = arguments({"result_file": folder / "result.json"})
     with observing() as observer, running(SWING, *words, log=log) as process:
-        wait_until_up(observer)
+        observer.wait_for_diagnostics()
         shutil.rmtree(folder)
         assert stop(process, signal.SIGTERM) == 1
     check_log(log)

@@ -12,7 +12,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray
 from node_harness import (
     LATCHED,
     ODO,
@@ -104,7 +103,7 @@ def test_two_nodes_in_one_graph(tmp_path: Path) -> None:
         running(SWING, *left_words, log=tmp_path / "left") as left,
         running(ODO, *right_words, log=tmp_path / "right") as right,
     ):
-        observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+        observer.listen_to_diagnostics()
         for name in (LEFT, RIGHT):
             observer.listen(Imu, f"{name}/attitude", RELIABLE)
             observer.listen(Bool, f"{name}/aligned", LATCHED)

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_harness import (
     KEYS,
@@ -25,7 +25,6 @@ from node_harness import (
     TEXTS,
     Observer,
     arguments,
-    diagnostic_values,
     observing,
     run_module,
     running,
@@ -82,20 +81,16 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         for message_type, name in zip((Imu, pose, pose), TOPICS[:3], strict=True):
             observer.listen(message_type, f"/odo_align/{name}", RELIABLE)
         observer.listen(Bool, "/odo_align/aligned", LATCHED)
-        observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+        observer.listen_to_diagnostics()
         with running(ODO, *arguments(node), log=folder / "node.log") as process:
-            observer.wait(lambda: observer.received["/diagnostics"], "diagnostics")
+            observer.wait(observer.diagnostics, "diagnostics")
             observer.wait(lambda: observer.received["/odo_align/aligned"], "aligned")
             with running(SYNTH, *arguments(synth), log=folder / "synth.log") as player:
                 observer.wait(lambda: player.poll() is not None, "the end of align_synth")
                 assert player.returncode == 0, (folder / "synth.log").read_text()
-            observer.wait(lambda: values(observer)["state"] == "aligned", "the state aligned")
+            observer.wait(lambda: observer.state == "aligned", "the state aligned")
             truth = json.loads((folder / "truth.json").read_text())
             yield Run(observer, process, result, truth, observer.received)
-
-
-def values(observer: Observer, index: int = -1) -> dict[str, str]:
-    return diagnostic_values(observer.received["/diagnostics"][index])
 
 
 def rotation(q: Any) -> np.ndarray:
@@ -162,15 +157,15 @@ def test_diagnostics_say_everything_every_time(run: Run) -> None:
     seen = run.received["/diagnostics"]
     for k, message in enumerate(seen):
         (status,) = message.status
-        found = values(run.observer, k)
+        found = run.observer.diagnostics(k)
         assert set(found) == KEYS | ODOMETER_KEYS
         for key in set(found) - TEXTS:
             assert re.fullmatch(r"unknown|-?\d+(\.\d+)?", found[key]), (key, found[key])
         assert bool(found["reason"]) == (status.level != DiagnosticStatus.OK)
-    first = values(run.observer, 0)
+    first = run.observer.diagnostics(0)
     assert seen[0].status[0].level == DiagnosticStatus.ERROR
     assert {first[key] for key in ODOMETER_KEYS} == {"unknown"}
-    last = values(run.observer)
+    last = run.observer.diagnostics()
     assert (last["imu_rejected"], last["odom_rejected"]) == ("0", "0")
     for name, true in (
         ("odometer_scale", run.truth["odometer_scale_error"]),
@@ -181,7 +176,6 @@ def test_diagnostics_say_everything_every_time(run: Run) -> None:
 
 
 def test_qos_is_that_of_the_interface(run: Run) -> None:
-    node = run.observer.node
     for topic, reliability, durability in (
         ("/imu", ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE),
         ("/odom", ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE),
@@ -189,11 +183,7 @@ def test_qos_is_that_of_the_interface(run: Run) -> None:
         ("/odo_align/mounting", ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL),
         ("/odo_align/aligned", ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL),
     ):
-        found = [
-            *node.get_publishers_info_by_topic(topic),
-            *node.get_subscriptions_info_by_topic(topic),
-        ]
-        (profile,) = [entry.qos_profile for entry in found if entry.node_name == "odo_align"]
+        profile = run.observer.profile("odo_align", topic)
         assert profile.reliability == reliability, topic
         assert profile.durability == durability, topic
 
@@ -234,8 +224,8 @@ def test_restart_forgets_everything(run: Run) -> None:
     aligned = run.received["/odo_align/aligned"]
     assert run.observer.call(Trigger, "/odo_align/restart").success
     run.observer.wait(lambda: not aligned[-1].data, "aligned to become false")
-    run.observer.wait(lambda: values(run.observer)["state"] == "waiting", "the state waiting")
-    assert values(run.observer)["odometer_scale_error"] == "unknown"
+    run.observer.wait(lambda: run.observer.state == "waiting", "the state waiting")
+    assert run.observer.diagnostics()["odometer_scale_error"] == "unknown"
 
 
 def test_sigint_ends_with_the_result_written(run: Run) -> None:

@@ -10,18 +10,15 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from node_harness import (
     ODO,
     SYNTH,
-    Observer,
     arguments,
-    diagnostic_values,
     observing,
     run_module,
     running,
 )
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu
 
 from sins_align.ros.bags_topics import KINDS
@@ -34,15 +31,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PLACE = {"latitude_deg": 40.0, "imu_grade": "fog"}
 T0 = 1_700_000_000_000_000_000
-
-
-def listen(observer: Observer) -> None:
-    observer.listen(DiagnosticArray, "/diagnostics", QoSProfile(depth=100))
-
-
-def diagnostics(observer: Observer) -> dict[str, str]:
-    seen = observer.received["/diagnostics"]
-    return diagnostic_values(seen[-1]) if seen else {}
 
 
 def short(message_type: str) -> str:
@@ -77,13 +65,13 @@ def test_every_type_is_taken_and_what_cannot_be_is_counted(
 ) -> None:
     parameters = {**PLACE, "odom_type": short(message_type)}
     with observing() as observer, running(ODO, *arguments(parameters), log=tmp_path / "log"):
-        listen(observer)
+        observer.listen_to_diagnostics()
         publisher = observer.node.create_publisher(ros_types(message_type), "/odom", 10)
         row = OdometerRow(T0, math.nan, 0.0)
 
         def is_refused() -> bool:
             publisher.publish(odometer_message(ros_types, message_type, row, "axle"))
-            return int(diagnostics(observer).get("odom_rejected", 0)) > 0
+            return int(observer.diagnostics().get("odom_rejected", 0)) > 0
 
         observer.wait(is_refused, "the count of what was refused")
     assert "Traceback" not in (tmp_path / "log").read_text()
@@ -92,28 +80,28 @@ def test_every_type_is_taken_and_what_cannot_be_is_counted(
 def test_another_type_on_the_topic_is_said(tmp_path: Path) -> None:
     node = arguments({**PLACE, "odom_type": "TwistStamped"})
     with observing() as observer, running(ODO, *node, log=tmp_path / "log"):
-        listen(observer)
+        observer.listen_to_diagnostics()
         publisher = observer.node.create_publisher(ros_types("nav_msgs/msg/Odometry"), "/odom", 10)
-        observer.wait(lambda: "odom_type" in diagnostics(observer).get("remedy", ""), "the remedy")
-        reason = diagnostics(observer)["reason"]
+        observer.wait(lambda: "odom_type" in observer.diagnostics().get("remedy", ""), "the remedy")
+        reason = observer.diagnostics()["reason"]
         assert "nav_msgs/msg/Odometry" in reason and "TwistStamped" in reason
         observer.node.destroy_publisher(publisher)
-        observer.wait(lambda: "odom_type" not in diagnostics(observer)["remedy"], "its end")
+        observer.wait(lambda: "odom_type" not in observer.diagnostics()["remedy"], "its end")
 
 
 def test_a_silent_odometer_is_a_warning_with_a_remedy(tmp_path: Path) -> None:
     run = simulate_vehicle(VehicleOptions(scenario="static", rate_hz=50.0, duration_s=12.0))
     payloads = [bytes(payload) for payload in encode_imu(run.imu, "imu")]
     with observing() as observer, running(ODO, *arguments(PLACE), log=tmp_path / "log"):
-        listen(observer)
+        observer.listen_to_diagnostics()
         publisher = observer.node.create_publisher(Imu, "/imu", 2000)
         observer.wait(lambda: publisher.get_subscription_count(), "the node")
-        observer.wait(lambda: diagnostics(observer), "diagnostics")
+        observer.wait(observer.diagnostics, "diagnostics")
         for payload in payloads:
             publisher.publish(payload)
-        observer.wait(lambda: "no odometer" in diagnostics(observer)["reason"], "the reason")
+        observer.wait(lambda: "no odometer" in observer.diagnostics()["reason"], "the reason")
         status = observer.received["/diagnostics"][-1].status[0]
         assert status.level in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR)
-        found = diagnostics(observer)
+        found = observer.diagnostics()
         assert "odom" in found["remedy"] and "stationary" in found["remedy"]
         assert found["sigma_heading_arcmin"] == "unknown"

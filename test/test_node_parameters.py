@@ -13,7 +13,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_harness import (
     LATCHED,
@@ -140,8 +139,7 @@ def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Observer]:
     log = tmp_path_factory.mktemp("parameters") / "log"
     file = str(shipped_config("swing_align.yaml"))
     with observing() as observer, running(SWING, "--ros-args", "--params-file", file, log=log):
-        observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
-        observer.wait(lambda: observer.received["/diagnostics"], "diagnostics")
+        observer.wait_for_diagnostics()
         yield observer
         assert "Traceback" not in log.read_text()
 

@@ -11,8 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
-from node_harness import SWING, SYNTH, Observer, arguments, observing, run_module, running
+from node_harness import SWING, SYNTH, arguments, observing, run_module, running
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix
 
@@ -22,16 +21,6 @@ from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.types import ImuSamples, Position
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
-
-
-def diagnostics(observer: Observer) -> dict[str, str]:
-    seen = observer.received["/diagnostics"]
-    return {e.key: e.value for e in seen[-1].status[0].values} if seen else {}
-
-
-def wait_until_up(observer: Observer) -> None:
-    observer.listen(DiagnosticArray, "/diagnostics", QoSProfile(depth=100))
-    observer.wait(lambda: diagnostics(observer), "diagnostics")
 
 
 @pytest.mark.parametrize(
@@ -85,9 +74,9 @@ def test_position_comes_from_the_fix_and_a_gap_begins_anew(tmp_path: Path) -> No
     samples = ImuSamples(stamps, w_ib_b, broken.f_ib_b)
     log = tmp_path / "log"
     with observing() as observer, running(SWING, log=log):
-        wait_until_up(observer)
-        assert "latitude" in diagnostics(observer)["reason"]
-        assert "fix" in diagnostics(observer)["remedy"]
+        observer.wait_for_diagnostics()
+        assert "latitude" in observer.diagnostics()["reason"]
+        assert "fix" in observer.diagnostics()["remedy"]
         fix = observer.node.create_publisher(NavSatFix, "/fix", 10)
         publisher = observer.node.create_publisher(Imu, "/imu", 2000)
         observer.listen(Time, "/swing_align/processed", QoSProfile(depth=1))
@@ -112,9 +101,9 @@ def test_position_comes_from_the_fix_and_a_gap_begins_anew(tmp_path: Path) -> No
             publisher.publish(payload)
         observer.wait(lambda: "the alignment began anew" in log.read_text(), "the restart")
         observer.wait(
-            lambda: "began_anew" in diagnostics(observer)["reason_keys"],
+            lambda: "began_anew" in observer.diagnostics()["reason_keys"],
             "the reason in diagnostics",
         )
-        assert int(diagnostics(observer)["imu_rejected"]) >= 3
+        assert int(observer.diagnostics()["imu_rejected"]) >= 3
     assert "40.000000 deg" in log.read_text()
     assert log.read_text().count("the alignment began anew: 2.0 s without IMU data") == 1

@@ -10,7 +10,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
 from node_harness import (
     LATCHED,
     ODO,
@@ -19,7 +18,6 @@ from node_harness import (
     Observer,
     Player,
     arguments,
-    diagnostic_values,
     observing,
     running,
     stamp_ns,
@@ -40,20 +38,11 @@ RATE_HZ = 10
 def listen(observer: Observer, node: str) -> None:
     observer.listen(Imu, f"/{node}/attitude", RELIABLE)
     observer.listen(Bool, f"/{node}/aligned", LATCHED)
-    observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+    observer.listen_to_diagnostics()
 
 
 def stamps_of(observer: Observer, node: str) -> np.ndarray:
     return np.array([stamp_ns(message) for message in observer.received[f"/{node}/attitude"]])
-
-
-def values(observer: Observer) -> dict[str, str]:
-    seen = observer.received["/diagnostics"]
-    return diagnostic_values(seen[-1]) if seen else {}
-
-
-def state(observer: Observer) -> str:
-    return values(observer).get("state", "")
 
 
 def joined(first: ImuSamples, second: ImuSamples) -> ImuSamples:
@@ -82,8 +71,10 @@ def check_second_pass(observer: Observer, node: str, log: Path, imu: ImuSamples)
     assert text.count("the alignment began anew: the IMU's stamps jumped back by ") == 1
     assert "Traceback" not in text
     # Counted are those before it was clear that time had jumped.
-    observer.wait(lambda: values(observer)["imu_rejected"] != "0", "the count of what was refused")
-    assert int(values(observer)["imu_rejected"]) < 0.01 * len(imu)
+    observer.wait(
+        lambda: observer.diagnostics()["imu_rejected"] != "0", "the count of what was refused"
+    )
+    assert int(observer.diagnostics()["imu_rejected"]) < 0.01 * len(imu)
 
 
 def test_a_looped_bag_begins_the_swing_alignment_anew(tmp_path: Path) -> None:
@@ -98,11 +89,11 @@ def test_a_looped_bag_begins_the_swing_alignment_anew(tmp_path: Path) -> None:
         listen(observer, "swing_align")
         player = Player(observer)
         player.play(imu.select(slice(0, -100)))
-        observer.wait(lambda: state(observer) == "aligned", "the first alignment")
+        observer.wait(lambda: observer.state == "aligned", "the first alignment")
         # In one go: the last of the old time and the first of the new one are taken in together.
         player.play(joined(imu.select(slice(-100, -3)), imu.select(slice(0, 300))))
-        observer.wait(lambda: state(observer) == "coarse", "the state coarse")
-        assert "stamps jumped back by 29.9 s" in values(observer)["reason"]
+        observer.wait(lambda: observer.state == "coarse", "the state coarse")
+        assert "stamps jumped back by 29.9 s" in observer.diagnostics()["reason"]
         player.play(imu.select(slice(300, None)))
         check_second_pass(observer, "swing_align", log, imu)
 
@@ -123,7 +114,7 @@ def test_a_looped_drive_begins_anew_whichever_jumps_first(tmp_path: Path, lead: 
         listen(observer, "odo_align")
         player = Player(observer, "odo_align", odom_type="TwistStamped")
         player.play(run.imu.select(slice(0, -3)), run.odometer, lead)
-        observer.wait(lambda: state(observer) == "aligned", "the first alignment")
+        observer.wait(lambda: observer.state == "aligned", "the first alignment")
         player.play(run.imu, run.odometer, lead)
         check_second_pass(observer, "odo_align", log, run.imu)
 
@@ -137,7 +128,7 @@ def test_a_clock_that_stands_or_jumps_back_holds_nothing_up(tmp_path: Path, exec
         "publish_rate_hz": 0.1,  # an output would take in what waits; this is for a timer to do
     }  # fmt: skip
     with observing() as observer, running(SWING, *arguments(parameters), log=tmp_path / "log"):
-        observer.listen(DiagnosticArray, "/diagnostics", RELIABLE)
+        observer.listen_to_diagnostics()
         clock = observer.node.create_publisher(Clock, "/clock", 1)
         player = Player(observer)
 
@@ -150,4 +141,6 @@ def test_a_clock_that_stands_or_jumps_back_holds_nothing_up(tmp_path: Path, exec
         for number, second in enumerate((0, 1000, 400)):  # not begun, stands, has jumped back
             observer.wait(lambda: diagnosed_at(second) >= 2, f"diagnostics at {second} s")  # noqa: B023
             player.play(imu.select(slice(20 * number, 20 * (number + 1))))
-        observer.wait(lambda: values(observer)["elapsed_s"] == "2.000", "three seconds of samples")
+        observer.wait(
+            lambda: observer.diagnostics()["elapsed_s"] == "2.000", "three seconds of samples"
+        )

@@ -80,18 +80,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
             observer.listen(message_type, topic, qos)
         with running(SWING, *arguments(node), log=folder / "node.log") as process:
             # Sees the node idle before the first sample comes.
-            observer.wait(lambda: observer.received["/diagnostics"], "diagnostics")
+            observer.wait(observer.diagnostics, "diagnostics")
             observer.wait(lambda: observer.received["/swing_align/aligned"], "aligned")
             with running(SYNTH, *arguments(synth), log=folder / "synth.log") as player:
                 observer.wait(lambda: player.poll() is not None, "the end of align_synth")
                 assert player.returncode == 0, (folder / "synth.log").read_text()
-            observer.wait(lambda: state(observer) == "aligned", "the state aligned")
+            observer.wait(lambda: observer.state == "aligned", "the state aligned")
             truth = json.loads((folder / "truth.json").read_text())
             yield Run(observer, process, result, truth, observer.received)
-
-
-def state(observer: Observer) -> str:
-    return diagnostic_values(observer.received["/diagnostics"][-1])["state"]
 
 
 def test_attitude_meets_the_truth_within_its_covariance(run: Run) -> None:
@@ -176,15 +172,6 @@ def test_silence_becomes_an_error(run: Run) -> None:
 
 
 def test_qos_is_that_of_the_interface(run: Run) -> None:
-    node = run.observer.node
-
-    def profiles(topic: str) -> list[Any]:
-        of_node = [
-            *node.get_publishers_info_by_topic(topic),
-            *node.get_subscriptions_info_by_topic(topic),
-        ]
-        return [e.qos_profile for e in of_node if e.node_name == "swing_align"]
-
     for topic, reliability, durability in (
         ("/imu", ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE),
         ("/fix", ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE),
@@ -194,7 +181,7 @@ def test_qos_is_that_of_the_interface(run: Run) -> None:
         ("/swing_align/aligned", ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL),
         ("/diagnostics", ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE),
     ):
-        (profile,) = profiles(topic)
+        profile = run.observer.profile("swing_align", topic)
         assert profile.reliability == reliability, topic
         assert profile.durability == durability, topic
 
@@ -227,8 +214,8 @@ def test_restart_forgets_everything(run: Run) -> None:
     aligned = run.received["/swing_align/aligned"]
     assert run.observer.call(Trigger, "/swing_align/restart").success
     run.observer.wait(lambda: not aligned[-1].data, "aligned to become false")
-    run.observer.wait(lambda: state(run.observer) == "waiting", "the state waiting")
-    assert diagnostic_values(run.received["/diagnostics"][-1])["sigma_heading_arcmin"] == "unknown"
+    run.observer.wait(lambda: run.observer.state == "waiting", "the state waiting")
+    assert run.observer.diagnostics()["sigma_heading_arcmin"] == "unknown"
 
 
 def test_sigint_ends_with_the_result_written(run: Run) -> None:

@@ -177,6 +177,37 @@ def test_an_alignment_that_broke_down_is_nothing_to_put_in_its_place(tmp_path: P
     assert read(target)["aligned"]
 
 
+def test_what_a_run_went_on_from_is_replaced_by_something_better_only(tmp_path: Path) -> None:
+    target, link = tmp_path / "result.json", tmp_path / "link.json"
+    earlier = {"aligned": True, "of": "another run"}
+    target.write_text(json.dumps(earlier))
+    link.symlink_to(target)
+    coarse = aligned_session()
+    coarse.restart()
+    coarse.add_imu(later(14.0))
+    assert coarse.estimate is not None
+    for session in (Session(swing_config()), coarse):
+        assert not ResultFile("swing_align", str(target), str(link)).write_last(session)
+        assert read(target) == earlier
+    other = ResultFile("swing_align", str(tmp_path / "other.json"), str(target))
+    assert other.write_last(coarse)
+    other.set_path(str(target))
+    assert not other.write_last(coarse)
+    # A file that is not there, an alignment, and what is asked for.
+    file = ResultFile("swing_align", str(target), str(target))
+    target.unlink()
+    assert file.write_last(coarse)
+    target.write_text(json.dumps(earlier))
+    file = ResultFile("swing_align", str(target), str(target))
+    file.write(coarse)
+    assert read(target)["aligned"] is False
+    assert file.write_last(coarse)  # now it is this run's
+    target.write_text(json.dumps(earlier))
+    file = ResultFile("swing_align", str(target), str(target))
+    assert file.write_last(aligned_session())
+    assert read(target)["stamp_ns"] == int(samples().stamp_ns[-1])
+
+
 def test_the_last_word_is_written_where_it_is_one(tmp_path: Path) -> None:
     target, other = tmp_path / "result.json", tmp_path / "other.json"
     target.write_text('{"aligned": true, "of": "another run"}')

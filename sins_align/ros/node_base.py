@@ -76,7 +76,9 @@ class AlignNode(ParameterNode):
         self._pose_topic = pose_topic
         self.executor_kind: str = self.values["executor"]
         self.session = make_session(self.values)
-        self._result = ResultFile(node_name, self.values["result_file"])
+        self._result = ResultFile(
+            node_name, self.values["result_file"], self.values["initial_result_file"]
+        )
         self._grid = PublishGrid(self.values["publish_rate_hz"])
         self._inbox = ImuInbox()
         self._frames_warned = False

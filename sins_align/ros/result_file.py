@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -15,24 +16,27 @@ class ResultFile:
     """Writes a session's result, whole or not at all, and knows what it has written.
 
     The file says how it stands now: `aligned` is true in it only while the session is aligned.
-    With one exception: an alignment of this run that was complete is not thrown away at the
-    end of the process for the beginnings of another one.
+    With one exception: an alignment that was complete, of this run or the one that this run
+    went on from, is not thrown away at the end of the process for the beginnings of another one.
 
     Parameters
     ----------
     node : `swing_align` or `odo_align`
-
     path : where it goes; '': nowhere
+    initial : the file that this run went on from; '': none
+
     estimate_s : wall time spent on the estimation so far [s]; the node's to count
     """
 
-    def __init__(self, node: str, path: str) -> None:
+    def __init__(self, node: str, path: str, initial: str = "") -> None:
         self.path = ""
         self.estimate_s = 0.0
         self._node = node
         self._begun = time.monotonic()
         # Restarts before the alignment whose complete result stands in the file.
         self._complete: int | None = None
+        # Where the alignment stands that this run went on from; '': nowhere any more.
+        self._initial = os.path.realpath(initial) if initial else ""
         self.set_path(path)
 
     def set_path(self, path: str) -> None:
@@ -53,10 +57,10 @@ class ResultFile:
             self._put(self._document(session), session.restarts)
 
     def write_last(self, session: Session) -> bool:
-        """As `write`, unless what stands in the file is a better end of this run.
+        """As `write`, unless what stands in the file is better.
 
         It is, when it is of a complete alignment and the alignment has begun anew since, or
-        when there is no attitude now.
+        when there is no attitude now; and when this run went on from it and is not aligned.
 
         Returns
         -------
@@ -69,9 +73,11 @@ class ResultFile:
         if not self.path:
             return True
         document = self._document(session)
-        if self._complete is not None and not document["aligned"] and Path(self.path).exists():
+        if not document["aligned"] and Path(self.path).exists():
+            if os.path.realpath(self.path) == self._initial:
+                return False
             begun_anew = session.restarts != self._complete
-            if begun_anew or document["q_nb_wxyz"] is None:
+            if self._complete is not None and (begun_anew or document["q_nb_wxyz"] is None):
                 return False
         self._put(document, session.restarts)
         return True
@@ -79,6 +85,8 @@ class ResultFile:
     def _put(self, document: dict[str, Any], restarts: int) -> None:
         write_result(Path(self.path), document)
         self._complete = restarts if document["aligned"] else None
+        if os.path.realpath(self.path) == self._initial:
+            self._initial = ""
 
     def _document(self, session: Session) -> dict[str, Any]:
         timing = Timing(time.monotonic() - self._begun, 0.0, self.estimate_s)

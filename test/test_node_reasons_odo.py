@@ -159,6 +159,6 @@ def test_an_odometer_of_another_type(nodes: Nodes) -> None:
     publisher = live.announce("TwistStamped")
     live.wait_for(Stage(("odometer_type",), None))
     live.observer.node.destroy_publisher(publisher)
-    right = nodes.get(ODO, **FOG, odom_type="TwistStamped")
+    right = nodes.get(ODO, **FOG)  # TwistStamped is what it takes
     right.begin(still())
     right.align(still())

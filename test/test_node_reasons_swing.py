@@ -54,9 +54,11 @@ CASES = (
             Stage(("levelling",), lambda: swing().part(0.0, 3.5)),
             Stage(("heading_coarse",), lambda: swing().part(3.5, 6.5)),
             Stage(("heading_sigma", "unproven"), lambda: swing().part(6.5, 12.5)),
-            Stage(("holding",), lambda: swing().part(12.5, 44.5)),
+            Stage(("holding",), lambda: swing().part(12.5, 36.5)),
         ),
-        lambda: swing().part(44.5),
+        lambda: swing().part(36.5),
+        # From 24 s on, as the simulation has it: far from either end.
+        {"hold_s": 20.0},
     ),
     Case(
         "silence",
@@ -191,7 +193,7 @@ CASES = (
     ),
 )  # fmt: skip
 # By tests of their own.
-BESIDE = {"no_imu", "no_position", "imu_refused"}
+BESIDE = {"no_imu", "no_position", "imu_refused", "vehicle_moves"}
 
 
 @pytest.fixture(scope="module")
@@ -214,3 +216,14 @@ def test_nothing_comes_then_stamps_that_stand_still_then_a_fix(nodes: Nodes) -> 
     live.wait_for(Stage(("no_position",), lambda: swing().part(3.0, 8.0)))
     position = Position(math.radians(40.0), math.radians(116.0), 50.0)
     live.align(swing().part(8.0), live.player(position))
+
+
+def test_a_vehicle_that_drives_off_and_stops(nodes: Nodes) -> None:
+    drive = swing(125.0, drive_m=30.0, drive_start_s=60.0, drive_duration_s=10.0)
+    live = nodes.get(SWING)
+    live.begin(drive)
+    live.align(drive.part(0.0, 60.0))
+    live.wait_for(Stage(("vehicle_moves",), lambda: drive.part(60.0, 72.0)))
+    live.wait_for(Stage(("began_anew",), lambda: drive.part(72.0, 86.0)))
+    live.align(drive.part(86.0))
+    assert "began anew: the vehicle had moved" in live.log
