@@ -120,6 +120,14 @@ def _turn(C_start: Array, C_end: Array) -> float:
     return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
 
 
+def _turned_axes(angle: float) -> Array:
+    """(n, n) errors in axes turned about up, counter-clockwise, by those in axes that are not."""
+    D = _UNIT.copy()
+    D[PHI, PHI] = D[VELOCITY, VELOCITY] = back = _about_up(-angle)
+    D[AZIMUTH, AZIMUTH] = back[:2, :2]
+    return D
+
+
 def _search(
     P: Array, stretches: list[Stretch], turn: float, is_reached: Callable[[Array, float], bool]
 ) -> float:
@@ -128,9 +136,7 @@ def _search(
     turn : of the vehicle over all stretches. It goes on from there: the next time the same motion,
     the first one too, is that of axes turned by it, in which the errors are seen
     """
-    D = _UNIT.copy()
-    D[PHI, PHI] = D[VELOCITY, VELOCITY] = back = _about_up(-turn)
-    D[AZIMUTH, AZIMUTH] = back[:2, :2]
+    D = _turned_axes(turn)
     F, W, G, total_s = reduce(Stretch.then, stretches)
     doubled = [Stretch(D @ F, D @ W @ D.T, G, total_s)]
     while doubled[-1].duration_s < HORIZON_S / 2.0:
@@ -144,7 +150,7 @@ def _search(
     for stretch in stretches:
         P, time_s = stretch.carry(P), time_s + stretch.duration_s
         if is_reached(P, count * turn):
-            return time_s
+            return time_s if time_s < HORIZON_S else math.inf
     return math.inf
 
 
