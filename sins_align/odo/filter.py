@@ -181,9 +181,9 @@ class AidedFilter(ABC):
         if not (stands or epoch.travel is not None) or epoch.gap_s >= LONG_GAP_S:
             self.P = forecast.P[: self._size, : self._size].copy()
             self._correct(forecast.mean[: self._size])
-            self.step = Step(
-                epoch.duration_s, self._A, forecast.Q, np.zeros((3, self._size + 3)), _EYE
-            )
+            nothing = np.zeros((3, self._size + 3))
+            # The model uses the array of A again.
+            self.step = Step(epoch.duration_s, self._A.copy(), forecast.Q, nothing, _EYE)
             return stands
         turn = course.w_ia * epoch.duration_s
         seen = odometer.measure(epoch, C_start, navigation.C_ab, course.path, turn, stands)
@@ -191,7 +191,7 @@ class AidedFilter(ABC):
         H[:, PHI] = skew3(seen.arm)
         H[:, ODOMETER] = seen.H
         H[:, self._path] = _EYE
-        self.step = Step(epoch.duration_s, self._A, forecast.Q, H, seen.R)
+        self.step = Step(epoch.duration_s, self._A.copy(), forecast.Q, H, seen.R)
         travel = None if stands else epoch.travel
         distance = 0.0 if travel is None else travel.distance
         residual = seen.residual - position

@@ -11,7 +11,7 @@ product, with M = (I + W_1 G_2)^-1,
 
     F = F_2 M F_1      W = W_2 + F_2 M W_1 F_2'      G = G_1 + F_1' G_2 M F_1
 
-The last minute's are put together to one, that one doubled to an hour, and the time is found by
+Those of late are put together to one, that one doubled to an hour, and the time is found by
 halving. Nothing of the filter is touched.
 """
 
@@ -30,8 +30,9 @@ from sins_align.odo.layout import AZIMUTH, PHI, SIZE, VELOCITY
 from sins_align.odo.wander import WanderFilter
 from sins_align.types import Array
 
-# What is taken to go on, and the least that tells [s].
-MOTION_S, LEAST_MOTION_S = 60.0, 10.0
+# What is taken to go on, and the least that tells [s]. With more, a vehicle that has set out would
+# do so again and again; with less, turns that come now and then are missed.
+MOTION_S, LEAST_MOTION_S = 40.0, 10.0
 # Farther nothing is foreseen [s].
 HORIZON_S = 3600.0
 
@@ -61,7 +62,7 @@ class Stretch(NamedTuple):
 
 
 class Foresight:
-    """Keeps what the last minute's epochs did to the covariance of a wander filter."""
+    """Keeps what the last epochs did to the covariance of a wander filter."""
 
     def __init__(self) -> None:
         # With the axes of the azimuth states, and C_ab at the start.
@@ -119,22 +120,29 @@ def _turn(C_start: Array, C_end: Array) -> float:
     return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
 
 
+def _turned_axes(angle: float) -> Array:
+    """(n, n) errors in axes turned about up, counter-clockwise, by those in axes that are not."""
+    D = _UNIT.copy()
+    D[PHI, PHI] = D[VELOCITY, VELOCITY] = back = _about_up(-angle)
+    D[AZIMUTH, AZIMUTH] = back[:2, :2]
+    return D
+
+
 def _search(
     P: Array, stretches: list[Stretch], turn: float, is_reached: Callable[[Array, float], bool]
 ) -> float:
     """The time after which P is as wanted [s].
 
-    turn : of the vehicle over all stretches. It goes on from there: the next time the same motion
-    is that of axes turned by it, in which the errors are seen
+    turn : of the vehicle over all stretches. It goes on from there: the next time the same motion,
+    the first one too, is that of axes turned by it, in which the errors are seen
     """
-    D = _UNIT.copy()
-    D[PHI, PHI] = D[VELOCITY, VELOCITY] = back = _about_up(-turn)
-    D[AZIMUTH, AZIMUTH] = back[:2, :2]
+    D = _turned_axes(turn)
     F, W, G, total_s = reduce(Stretch.then, stretches)
     doubled = [Stretch(D @ F, D @ W @ D.T, G, total_s)]
     while doubled[-1].duration_s < HORIZON_S / 2.0:
         doubled.append(doubled[-1].then(doubled[-1]))
-    time_s, count = 0.0, 0
+    P = D @ P @ D.T
+    time_s, count = 0.0, 1
     for k in reversed(range(len(doubled))):
         ahead, more = doubled[k].carry(P), count + 2**k
         if not is_reached(ahead, more * turn):
@@ -142,7 +150,7 @@ def _search(
     for stretch in stretches:
         P, time_s = stretch.carry(P), time_s + stretch.duration_s
         if is_reached(P, count * turn):
-            return time_s
+            return time_s if time_s < HORIZON_S else math.inf
     return math.inf
 
 
