@@ -384,11 +384,11 @@ def test_innovations_that_do_not_fit_are_not_aligned() -> None:
 
 
 def test_an_attitude_that_changes_too_much_is_not_aligned() -> None:
-    """Heading has changed by 4 sigma of what it may."""
-    assert status_of(having(steadiness=8.9)).state is State.ALIGNED
-    status = status_of(having(steadiness=16.0))
+    """Heading has changed by 5 sigma of what it may."""
+    assert status_of(having(steadiness=15.9)).state is State.ALIGNED
+    status = status_of(having(steadiness=25.0))
     assert (status.state, status.keys) == (State.FINE, ("unsteady",))
-    assert "changed by 4.0 times the sigma" in status.reason
+    assert "changed by 5.0 times the sigma" in status.reason
     assert "gyro_arw_deg_sqrt_h" in status.remedy
     assert status_of(having(steadiness=math.nan)).keys == ("unproven",)
     assert status_of(having(steadiness=None)).state is State.ALIGNED

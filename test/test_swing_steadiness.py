@@ -42,7 +42,7 @@ def test_the_largest_change_counts_and_its_variance_is_the_difference() -> None:
 
 def test_a_slow_drift_shows_that_no_single_change_does() -> None:
     sigmas = [1e-3 * 0.9**k for k in range(8)]
-    steps = [1.2 * math.sqrt(a * a - b * b) for a, b in pairwise(sigmas)]
+    steps = [1.6 * math.sqrt(a * a - b * b) for a, b in pairwise(sigmas)]
     drift = fed([0.0, *np.cumsum(steps).tolist()], sigmas).value
     there_and_back = fed([0.0, *(np.cumsum([s * (-1) ** k for k, s in enumerate(steps)]))], sigmas)
     assert drift > MAX_UNSTEADINESS > 2.0 * there_and_back.value
