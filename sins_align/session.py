@@ -15,11 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sins_align.aligners import make_aligners, make_completer
 from sins_align.config import Completion, OdoConfig, SwingConfig
-from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.intake import Intake
-from sins_align.odo import make_odo_aligner
-from sins_align.odo.aligner import TURN_MOTION
 from sins_align.odo.odometer_intake import OdometerIntake
 from sins_align.reasons import (
     BEGAN_ANEW,
@@ -31,11 +29,8 @@ from sins_align.reasons import (
     VEHICLE_MOVES,
     Finding,
 )
-from sins_align.resume import ResumingAidedAligner, ResumingAligner
 from sins_align.soundness import check_arrays, check_odometer_arrays, find_fault, is_sound
 from sins_align.stamp_watch import StampWatch
-from sins_align.status import Completer, Declared, Expectation
-from sins_align.swing import make_aligner
 from sins_align.types import (
     Advance,
     AidedAligner,
@@ -54,7 +49,6 @@ from sins_align.units_watch import UnitsWatch
 # How far back an odometer's samples are of use to an alignment that begins [ns].
 KEPT_NS = 5_000_000_000
 HAD_MOVED = "the vehicle had moved"
-TURN_BASE = "turn the base by 90 deg or more"
 
 
 class Update(NamedTuple):
@@ -87,7 +81,7 @@ class Session:
         """Begin anew, with the IMU at `at_ns`; None: where it is."""
         self._make_aligner(at_ns)
         self._intake = Intake(self._counts)
-        self._completer = self._make_completer()
+        self._completer = make_completer(self._config, self._position)
         self._units = UnitsWatch(self._config.sampling)
         self._stamps = StampWatch(self._config.grade.gyro_arw)
         self._begin_reason, self._moves = reason, False
@@ -99,17 +93,10 @@ class Session:
         self._aided: AidedAligner | None = None
         if self._position is None:
             return
-        if isinstance(self._config, SwingConfig):
-            self._aligner = make_aligner(self._config, self._position)
-            if self._initial is not None:
-                self._aligner = ResumingAligner(
-                    self._aligner, self._config, self._position, self._initial
-                )
+        made = make_aligners(self._config, self._position, self._initial)
+        self._aligner, self._aided = made
+        if made.aided is None:
             return
-        aided = make_odo_aligner(self._config, self._position)
-        if self._initial is not None:
-            aided = ResumingAidedAligner(aided, self._config, self._position, self._initial)
-        self._aligner = self._aided = aided
         # The odometer may be ahead of the IMU. From a fixed time on: what comes of it must not
         # depend on what else is still kept.
         recent = self._odometer_intake.recent()
@@ -117,18 +104,7 @@ class Session:
         if len(recent) and now_ns is not None:
             recent = recent.select(recent.stamp_ns >= now_ns - KEPT_NS)
         if len(recent):
-            self._aided.aid(recent)
-
-    def _make_completer(self) -> Completer:
-        config, grade = self._config, self._config.grade
-        bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
-        declared, motion = Declared(gyro_bias=bias), TURN_BASE
-        if isinstance(config, OdoConfig):
-            triad = GRAVITY_EQUATOR * math.hypot(grade.accel_scale, grade.misalignment)
-            accel = math.hypot(grade.accel_bias, triad)
-            declared, motion = Declared(bias, accel, config.odometer.scale_sigma), TURN_MOTION
-        expectation = Expectation(grade, self._position, declared, config.latitude_check, motion)
-        return Completer(config.completion, expectation)
+            made.aided.aid(recent)
 
     def _waiting_status(self) -> Status:
         return Status(State.WAITING, tuple(self._waiting_findings()))
@@ -305,7 +281,7 @@ class Session:
         elapsed = self._intake.elapsed_s(stamp_ns)
         self._initial = None
         self._make_aligner(stamp_ns)
-        self._completer = self._make_completer()
+        self._completer = make_completer(self._config, self._position)
         self._status = Status(State.FAILED, (fault,), elapsed)
         return [Update(stamp_ns, None, self._status)]
 

@@ -15,13 +15,8 @@ from sins_align.simulate import SwingOptions, SwingRun, simulate_swing
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverDirections, LeverExcitation
 from sins_align.swing.solution import KAPPA, Prior, Solution, Solver, make_prior
-from sins_align.swing.two_stage import (
-    GravityModel,
-    Linearisation,
-    NoiseModel,
-    TwoStageFilter,
-    build_steps,
-)
+from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
+from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import ImuBlock, ImuSampling
 
 LATITUDE_DEG, ALTITUDE_M = 40.0, 50.0

@@ -16,7 +16,8 @@ from sins_align.limits import heading_limit
 from sins_align.session import Session
 from sins_align.simulate import simulate_swing
 from sins_align.swing.foresight import time_to
-from sins_align.swing.two_stage import TwoStageFilter, build_steps
+from sins_align.swing.two_stage import build_steps
+from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array
 
 SCENARIOS = pytest.mark.parametrize("scenario", ["still", "level", "pitch", "erect"])

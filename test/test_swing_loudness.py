@@ -15,7 +15,8 @@ from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.loudness import DOUBTED, FACTOR, Loudness
-from sins_align.swing.two_stage import DATA, NoiseModel, TwoStageFilter, build_steps
+from sins_align.swing.two_stage import DATA, NoiseModel, build_steps
+from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, ImuBlock, ImuSampling
 
 LOUD = replace(OPTIONS, scenario="pitch", duration_s=300.0)

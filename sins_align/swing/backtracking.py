@@ -24,13 +24,8 @@ from sins_align.swing.solution import (
     make_prior,
     start_attitude,
 )
-from sins_align.swing.two_stage import (
-    GravityModel,
-    Linearisation,
-    NoiseModel,
-    TwoStageFilter,
-    build_steps,
-)
+from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
+from sins_align.swing.two_stage_filter import TwoStageFilter
 
 # The noise model needs no new linearisation where the attitude has moved by less, and the
 # lever arm too.

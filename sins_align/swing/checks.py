@@ -9,7 +9,8 @@ from sins_align.swing.epochs import Epochs
 from sins_align.swing.latitude import earth_rate_slope, latitude_column
 from sins_align.swing.solution import KAPPA, Solution, Solver
 from sins_align.swing.steadiness import Steadiness
-from sins_align.swing.two_stage import PHI, GravityModel, NoiseModel, TwoStageFilter
+from sins_align.swing.two_stage import PHI, GravityModel, NoiseModel
+from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.swing.velocity_fit import VelocityFit
 from sins_align.types import Array, LatitudeEstimate, Witness
 

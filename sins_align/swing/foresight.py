@@ -11,13 +11,8 @@ from collections.abc import Callable
 
 from sins_align.earth import earth_rate_n
 from sins_align.swing.epochs import Epochs
-from sins_align.swing.two_stage import (
-    GravityModel,
-    Linearisation,
-    NoiseModel,
-    TwoStageFilter,
-    build_steps,
-)
+from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
+from sins_align.swing.two_stage_filter import TwoStageFilter
 
 HORIZON_S = 3600.0
 # Heading is looked at so many epochs ahead, and then as much later every time.

@@ -16,13 +16,8 @@ from sins_align.reasons import GYRO_NOISY, Finding
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.position_noise import PositionNoise
 from sins_align.swing.solution import Solution, Solver
-from sins_align.swing.two_stage import (
-    GravityModel,
-    Linearisation,
-    NoiseModel,
-    TwoStageFilter,
-    build_steps,
-)
+from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
+from sins_align.swing.two_stage_filter import TwoStageFilter
 
 FACTOR = 3.0
 # The logarithm of the ratio beyond which the declared noise is not believed, which holds up one run

@@ -10,7 +10,8 @@ from sins_align.rotation import exp_rotation, quaternion_from_dcm
 from sins_align.swing.checks import Report
 from sins_align.swing.excitation import LeverDirections
 from sins_align.swing.solution import KAPPA, X_BA, X_BG, X_R, Solution
-from sins_align.swing.two_stage import DATA, DRIFT, GYRO_BIAS, PHI, NoiseModel, TwoStageFilter
+from sins_align.swing.two_stage import DATA, DRIFT, GYRO_BIAS, PHI, NoiseModel
+from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, Estimate, LeverArm
 
 

@@ -31,8 +31,8 @@ from sins_align.swing.two_stage import (
     R_EAST,
     R_UP,
     V0,
-    TwoStageFilter,
 )
+from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array
 
 # Elements of x.
