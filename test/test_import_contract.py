@@ -33,6 +33,7 @@ GROUND, ALIGNER, SESSION, ROS, NODE = range(5)
 LAYERS = {
     "sins_align.swing": ALIGNER,
     "sins_align.odo": ALIGNER,
+    "sins_align.aligners": SESSION,
     "sins_align.session": SESSION,
     "sins_align.simulate": SESSION,
     "sins_align.ros": ROS,

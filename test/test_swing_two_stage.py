@@ -25,9 +25,9 @@ from sins_align.swing.two_stage import (
     GravityModel,
     Linearisation,
     NoiseModel,
-    TwoStageFilter,
     build_steps,
 )
+from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, ImuBlock, ImuSampling
 
 LATITUDE = np.radians(40.0)
