@@ -369,14 +369,23 @@ ODOMETER_SILENT = Reason(
     "Errors grow, and nothing is measured. Ends with the next sample.",
     "odo",
 )
+LATITUDE_UNPROVEN = Reason(
+    "latitude_unproven",
+    Kind.PROGRESS,
+    "by the IMU the latitude is known to {sigma_deg:.2f} deg yet, {most_deg:.2f} deg are needed to"
+    " see whether it was given right",
+    "",
+    "With gyros of navigation grade, 0.01 deg/h and better, beyond 9 deg of latitude or so. Ends"
+    " within seconds to two minutes, or with latitude_check: off.",
+    "swing",
+)
 LATITUDE_DOUBTED = Reason(
     "latitude_doubted",
     Kind.DOUBT,
     "by the IMU the latitude is off by {ratio:.1f} times sigma ({sigma_deg:.3f} deg)",
     "check latitude_deg or the fix",
-    "Of 3 sigma and more with latitude_check: fail, of 5 while there is no heading. Ends when more"
-    " data have told which of the two it is.",
-    "odo",
+    "3 sigma, with gyros of navigation grade (swing) or latitude_check: fail (odo), and 5 while there"
+    " is no heading (odo). Ends when more data have told which of the two it is.",
 )
 ODOMETER_OPPOSITE = Reason(
     "odometer_opposite",

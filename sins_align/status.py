@@ -32,6 +32,8 @@ from sins_align.reasons import (
     HOLDING,
     INCONSISTENT,
     LATITUDE_DIFFERS,
+    LATITUDE_DOUBTED,
+    LATITUDE_UNPROVEN,
     LATITUDE_WRONG,
     LEVEL_LIMIT,
     LEVEL_SIGMA,
@@ -144,9 +146,10 @@ class Completer:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))
             return Status(self._state, findings, elapsed_s, None, limit)
         missing = self._missing(estimate)
-        doubts = [f for f in step.findings if f.reason.kind is Kind.DOUBT]
+        said = [f for f in step.findings if self._is_asked(f)]
+        doubts = [f for f in said if f.reason.kind is Kind.DOUBT or f.reason is LATITUDE_UNPROVEN]
+        notes = [f for f in said if f not in doubts]
         doubts += self._doubts(estimate)
-        notes = [f for f in step.findings if f.reason.kind is not Kind.DOUBT]
         if not missing:
             notes = [f for f in notes if f.reason.kind is not Kind.HINT]
         notes += self._latitude(estimate)
@@ -262,6 +265,10 @@ class Completer:
         if estimate.odometer is not None and declared.odometer_scale > 0.0:
             ratio = abs(estimate.odometer.scale_error) / declared.odometer_scale
             yield "odometer scale error", ratio, MAX_BIAS_RATIO
+
+    def _is_asked(self, finding: Finding) -> bool:
+        of_latitude = finding.reason in (LATITUDE_UNPROVEN, LATITUDE_DOUBTED)
+        return not (of_latitude and self._expectation.latitude_check == "off")
 
     def _latitude(self, estimate: Estimate) -> list[Finding]:
         """Whether the latitude given is that of the data."""

@@ -179,12 +179,13 @@ def test_a_short_run() -> None:
     swinging = run(replace(plan, options=replace(plan.options, scenario="pitch")))
     assert swinging.worst is not None  # every estimate is held against the truth of its time
     assert swinging.worst.ratio < 2.0
-    # On a base that does not turn a bias of the east gyro is a heading that is wrong.
-    grade = replace(plan.options.imu_grade, gyro_bias=1e-6)
-    wrong = run(replace(plan, options=replace(plan.options, grade=grade), faults=("gyro bias: ",)))
+    # On a base that does not turn a bias of the east gyro is a heading that is wrong, and where
+    # chance has spared the other two nothing tells.
+    grade = replace(plan.options.imu_grade, gyro_bias=1.8e-7)
+    wrong = run(replace(plan, options=replace(plan.options, grade=grade, seed=4)))
     assert wrong.is_false
     assert wrong.worst is not None
-    assert wrong.worst.ratio > 5.0
+    assert wrong.worst.ratio > 4.0
 
 
 def test_runs_by_their_number() -> None:

@@ -131,7 +131,8 @@ def test_asking_for_the_time_to_go_changes_nothing() -> None:
 
 def test_other_thresholds_lose_nothing() -> None:
     """From the next step on, and as if they had been there before."""
-    wide, narrow = laser_config(heading_threshold_arcmin=1000.0), laser_config()
+    narrow = laser_config(latitude_check="off")
+    wide = laser_config(latitude_check="off", heading_threshold_arcmin=1000.0)
     session = Session(narrow)
     before = session.add_imu(laser().select(slice(0, 1451)))
     assert before[-1].status.state is State.FINE and "heading_sigma" in before[-1].status.keys

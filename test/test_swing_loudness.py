@@ -14,15 +14,17 @@ from sins_align.increments import integrate_windows
 from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.swing.epochs import Epochs
+from sins_align.swing.latitude import latitude_column
 from sins_align.swing.loudness import DOUBTED, FACTOR, Loudness
 from sins_align.swing.two_stage import DATA, NoiseModel, build_steps
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, ImuBlock, ImuSampling
+from sins_align.units import DEG
 
 LOUD = replace(OPTIONS, scenario="pitch", duration_s=300.0)
 
 
-def dense_likelihood(filtered: Filtered, noise: NoiseModel) -> float:
+def dense_likelihood(filtered: Filtered, noise: NoiseModel, column: Array | None = None) -> float:
     """All observations as one Gaussian vector, theta marginalised with its prior: no filter.
 
     x_k+1 = F x_k + G theta + w, y_k = H x_k + observed theta + n; A is the response of all y to
@@ -49,12 +51,12 @@ def dense_likelihood(filtered: Filtered, noise: NoiseModel) -> float:
     assert spread.shape == (n, n)
     flat, rows = V.reshape(3 * K, 3 * K), A.reshape(3 * K, c)
     J = filtered.solution.jacobian
-    mine = rows[:, :DATA] @ J
+    mine = rows[:, :DATA] @ (J if column is None else np.column_stack((J, column)))
     left = rows @ np.append(filtered.solution.theta, 1.0)
     weighted = np.linalg.solve(flat, np.column_stack((mine, left)))
     N, gradient = mine.T @ weighted[:, :-1], mine.T @ weighted[:, -1]
     variance = filtered.prior.variance
-    known = variance > 0.0
+    known = np.flatnonzero(variance > 0.0)
     N[known, known] += 1.0 / variance[known]
     off = filtered.solution.x - filtered.prior.mean
     gradient[known] += off[known] / variance[known]
@@ -66,20 +68,26 @@ def dense_likelihood(filtered: Filtered, noise: NoiseModel) -> float:
     return float(-0.5 * (np.linalg.slogdet(flat)[1] + log_N + least))
 
 
-def ratio(filtered: Filtered) -> float:
+def ratio(filtered: Filtered, latitude: float = 0.0) -> float:
+    """At latitude 0 the latitude is no unknown."""
     loudness = Loudness(filtered.noise)
     loudness.update(filtered.filter, filtered.epochs, filtered.truth, filtered.gravity)
-    loudness.compare(filtered.filter, filtered.solver, filtered.solution)
+    loudness.compare(filtered.filter, filtered.solver, filtered.solution, latitude)
     return loudness.log_ratio
 
 
 @pytest.mark.parametrize("scenario", ["still", "pitch"])
 def test_the_ratio_is_that_of_the_whole_vectors_densities(scenario: str) -> None:
-    filtered = filter_run(replace(OPTIONS, scenario=scenario, seed=3, duration_s=40.0))
+    filtered = filter_run(replace(OPTIONS, scenario=scenario, seed=3, duration_s=90.0))
     loud = replace(filtered.noise, gyro=FACTOR * filtered.noise.gyro)
     expected = dense_likelihood(filtered, loud) - dense_likelihood(filtered, filtered.noise)
     assert abs(expected) > 0.05
-    assert ratio(filtered) == pytest.approx(expected, rel=1e-3)
+    assert ratio(filtered) == pytest.approx(expected, rel=1e-2)
+    latitude = LATITUDE_DEG * DEG
+    column = latitude_column(filtered.solution, latitude)
+    expected = dense_likelihood(filtered, loud, column)
+    expected -= dense_likelihood(filtered, filtered.noise, column)
+    assert ratio(filtered, latitude) == pytest.approx(expected, rel=1e-2, abs=1e-3)
 
 
 def test_in_portions_and_linearised_anew_it_is_the_same() -> None:
@@ -94,7 +102,7 @@ def test_in_portions_and_linearised_anew_it_is_the_same() -> None:
         steps = build_steps(epochs, first, filtered.truth, filtered.gravity, filtered.noise)
         part.run(steps, None)
         loudness.update(part, epochs, about, filtered.gravity)
-    loudness.compare(part, filtered.solver, filtered.solution)
+    loudness.compare(part, filtered.solver, filtered.solution, 0.0)
     # The force of the last epoch of a portion is by a one-sided difference.
     assert loudness.log_ratio == pytest.approx(ratio(filtered), rel=1e-2)
 
@@ -114,3 +122,9 @@ def test_true_noise_is_seldom_doubted_and_six_times_as_much_mostly_is() -> None:
     runs = [replace(LOUD, seed=seed) for seed in range(12)]
     assert sum(map(is_doubted, runs)) <= 3
     assert sum(is_doubted(replace(options, grade=noisy)) for options in runs) >= 10
+
+
+def test_a_wrong_latitude_is_not_taken_for_noise() -> None:
+    filtered = filter_run(replace(LOUD, scenario="still", seed=5), LATITUDE_DEG + 1.0)
+    assert ratio(filtered) > DOUBTED
+    assert ratio(filtered, (LATITUDE_DEG + 1.0) * DEG) < 1.0

@@ -25,6 +25,7 @@ from sins_align.rotation import dcm_from_quaternion, multiply_quaternions
 from sins_align.swing.backtracking import COARSE_SIGMA, Backtracking
 from sins_align.swing.checks import Checks
 from sins_align.swing.foresight import time_to
+from sins_align.swing.latitude import latitude_doubts
 from sins_align.swing.loudness import Loudness
 from sins_align.swing.outcome import C_nb0_at, Outcome, heading_variance
 from sins_align.swing.two_stage import GravityModel
@@ -87,7 +88,7 @@ class InertialAligner:
         found = self._found
         if found.solution is None:
             return (LEVELLING(elapsed_s=now),)
-        findings = []
+        findings: list[Finding] = []
         if self._estimate is None:
             sigma = math.degrees(min(math.sqrt(heading_variance(found.solution)), math.pi))
             bound = math.degrees(COARSE_SIGMA)
@@ -98,7 +99,11 @@ class InertialAligner:
             findings.append(CENTRE_MOVES(moved_mm=1e3 * moved, declared_mm=1e3 * declared))
         if found.lever.considered.shape[1] and self._config.lever_arm_prior_sigma > 0.0:
             findings.append(SWING_WEAK())
-        return (*findings, *self._loudness.findings)
+        findings += self._loudness.findings
+        if self._outcome is not None:
+            own = self._outcome.report.latitude
+            findings += latitude_doubts(self._config.grade, self._gravity.latitude, own)
+        return tuple(findings)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """The estimate from all samples to the end of `block`; changes nothing.
@@ -131,7 +136,9 @@ class InertialAligner:
         if found.solution is not None and found.about is not None:
             self._checks.note(found.solution, now)
             self._loudness.update(found.filter, found.epochs, found.about, self._gravity)
-            self._loudness.compare(found.filter, found.solver, found.solution)
+            self._loudness.compare(
+                found.filter, found.solver, found.solution, self._gravity.latitude
+            )
         self._outcome = self._outcome_now()
         self._estimate = None
         if self._outcome is not None:

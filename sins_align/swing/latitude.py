@@ -17,12 +17,22 @@ import math
 import numpy as np
 
 from sins_align.earth import EARTH_RATE
+from sins_align.grades import ImuGrade
+from sins_align.reasons import LATITUDE_DOUBTED, LATITUDE_UNPROVEN, Finding
 from sins_align.swing.solution import X_G, Solution
 from sins_align.swing.two_stage import R_EAST, R_NORTH
-from sins_align.types import Array
+from sins_align.types import Array, LatitudeEstimate
+from sins_align.units import DEG, DEG_PER_H
 
 # Nearer to the equator (and to a pole) there is nothing to be told.
 LEAST_SIN_COS = 0.01
+# With a gyro of navigation grade [rad/s] an error of so much [rad] is to be told before aligned is
+# claimed: sigma has to be so many times smaller, and will be soon where the bias allows as many
+# times more.
+NAVIGATION_BIAS, TOLD_ERROR = 0.01 * DEG_PER_H, 1.0 * DEG
+TOLD_RATIO, SOON_RATIO = 6.0, 12.0
+# What is off by so many sigma is wrong or not, when more data have come.
+DOUBTED_RATIO = 3.0
 
 
 def earth_rate_slope(latitude: float) -> Array:
@@ -40,3 +50,20 @@ def latitude_column(solution: Solution, latitude: float) -> Array | None:
     column[R_EAST] = -s / c * R[:, 0]
     column[R_NORTH] = (c * c - s * s) / (s * c) * R[:, 1] + 2.0 * R[:, 2]
     return column
+
+
+def latitude_doubts(
+    grade: ImuGrade, given: float, own: LatitudeEstimate | None
+) -> tuple[Finding, ...]:
+    """What an alignment with the latitude `given` [rad] has to wait for; own : that of the data."""
+    bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
+    rate = EARTH_RATE * abs(math.sin(given))
+    if own is None or bias > NAVIGATION_BIAS or SOON_RATIO * bias > TOLD_ERROR * rate:
+        return ()
+    if TOLD_RATIO * own.sigma > TOLD_ERROR:
+        most = TOLD_ERROR / TOLD_RATIO / DEG
+        return (LATITUDE_UNPROVEN(sigma_deg=own.sigma / DEG, most_deg=most),)
+    ratio = abs(own.latitude - given) / own.sigma
+    if ratio > DOUBTED_RATIO:
+        return (LATITUDE_DOUBTED(ratio=ratio, sigma_deg=own.sigma / DEG),)
+    return ()

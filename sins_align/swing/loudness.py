@@ -14,6 +14,7 @@ from dataclasses import replace
 
 from sins_align.reasons import GYRO_NOISY, Finding
 from sins_align.swing.epochs import Epochs
+from sins_align.swing.latitude import latitude_column
 from sins_align.swing.position_noise import PositionNoise
 from sins_align.swing.solution import Solution, Solver
 from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
@@ -49,10 +50,16 @@ class Loudness:
         steps = build_steps(epochs, count, about, gravity, self._noise)
         self._filter.follow(steps, declared.variances[count:])
 
-    def compare(self, declared: TwoStageFilter, solver: Solver, solution: Solution) -> None:
-        """Hold the two against each other at a solution of the declared one."""
-        mine = solver.log_likelihood(self._filter, solution)
-        self.log_ratio = mine - solver.log_likelihood(declared, solution)
+    def compare(
+        self, declared: TwoStageFilter, solver: Solver, solution: Solution, latitude: float
+    ) -> None:
+        """Hold the two against each other at a solution of the declared one.
+
+        latitude : of the model [rad]. That it may be wrong is not to be taken for noise
+        """
+        column = latitude_column(solution, latitude)
+        mine = solver.log_likelihood(self._filter, solution, column)
+        self.log_ratio = mine - solver.log_likelihood(declared, solution, column)
         self._is_doubted = self.log_ratio > (BELIEVED if self._is_doubted else DOUBTED)
 
     @property

@@ -226,19 +226,26 @@ class Solver:
         sigma = math.sqrt(1.0 / information + float(moved @ moved))
         return -slope / information, sigma, response
 
-    def log_likelihood(self, filter_: TwoStageFilter, at: Solution) -> float:
+    def log_likelihood(
+        self, filter_: TwoStageFilter, at: Solution, column: Array | None = None
+    ) -> float:
         """Of a filter's noise model, whatever x is (restricted likelihood), but for a constant.
 
         -(sum log det S + log det N + least sum of squares) / 2, the least one by a Newton step
-        from `at`. All of x is estimated here, none of it considered.
+        from `at`. All of x is estimated here, none of it considered; and so is a parameter y with
+        `column` (p,) d theta / d y, about 0.
         """
         N, gradient = self._reduced(filter_.normal, at)
-        variance = self.prior.variance
+        variance, theta = self.prior.variance, np.append(at.theta, 1.0)
         known = variance > 0.0
         free = known.copy()
         free[:6] = True
         N, gradient = N[np.ix_(free, free)], gradient[free]
-        theta = np.append(at.theta, 1.0)
+        if column is not None:
+            response = filter_.normal[:-1, :-1] @ column
+            cross = (self._jacobian(at).T @ response)[free]
+            N = np.block([[N, cross[:, None]], [cross, column @ response]])
+            gradient = np.append(gradient, column @ (filter_.normal[:-1] @ theta))
         off = (at.x - self.prior.mean)[known]
         squares = float(theta @ filter_.normal @ theta) + float(off @ (off / variance[known]))
         squares -= float(gradient @ _inverse(N) @ gradient)
