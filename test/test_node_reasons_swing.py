@@ -54,11 +54,12 @@ CASES = (
             Stage(("levelling",), lambda: swing().part(0.0, 3.5)),
             Stage(("heading_coarse",), lambda: swing().part(3.5, 6.5)),
             Stage(("heading_sigma", "unproven"), lambda: swing().part(6.5, 12.5)),
-            Stage(("holding",), lambda: swing().part(12.5, 36.5)),
+            Stage(("latitude_unproven",), lambda: swing().part(12.5, 34.5)),
+            Stage(("holding",), lambda: swing().part(34.5, 50.5)),
         ),
-        lambda: swing().part(36.5),
-        # From 24 s on, as the simulation has it: far from either end.
-        {"hold_s": 20.0},
+        lambda: swing().part(50.5),
+        # From 43 s on, as the simulation has it: far from either end.
+        {"hold_s": 15.0},
     ),
     Case(
         "silence",
@@ -166,7 +167,7 @@ CASES = (
     Case(
         "gyro noise",
         SWING,
-        (Stage(("unsteady", "witness_differs"), noisy),),
+        (Stage(("gyro_noisy", "unsteady", "witness_differs"), noisy),),
         noisy,
         COARSE,
         {"gyro_arw_deg_sqrt_h": NOISE * 0.0005},

@@ -20,10 +20,11 @@ from swing_filtered import (
 from evidence.monte_carlo import misalignment
 from sins_align.config import swing_config
 from sins_align.earth import EARTH_RATE
+from sins_align.grades import load_grade
 from sins_align.rotation import dcm_from_quaternion, exp_rotation
 from sins_align.session import Session
 from sins_align.simulate import simulate_swing
-from sins_align.swing.latitude import latitude_column
+from sins_align.swing.latitude import latitude_column, latitude_doubts
 from sins_align.swing.solution import MATRICES, X_G, Solution
 from sins_align.types import LatitudeEstimate
 from sins_align.units import DEG
@@ -152,3 +153,23 @@ def test_a_wrong_latitude_is_in_the_covariance() -> None:
     assert off[1] > right.estimate.sigma[1]
     assert np.sqrt(added[1, 1]) == pytest.approx(off[1], rel=0.25)
     assert (off < 1.5 * wrong.estimate.sigma).all()
+
+
+@pytest.mark.parametrize(
+    ("grade", "given_deg", "sigma_deg", "key"),
+    [
+        ("rlg", 40.0, 0.2, "latitude_unproven"),
+        ("rlg", 40.0, 0.16, ""),
+        ("rlg", -40.0, 0.1, "latitude_doubted"),
+        ("rlg", 5.0, 0.5, ""),  # its bias hides a degree
+        ("fog", 40.0, 0.5, ""),
+    ],
+)
+def test_what_an_alignment_waits_for(
+    grade: str, given_deg: float, sigma_deg: float, key: str
+) -> None:
+    """Off by 0.35 deg, of which 3 sigma doubt and one of 6 are to be told."""
+    own = LatitudeEstimate((given_deg + 0.35) * DEG, sigma_deg * DEG)
+    found = latitude_doubts(load_grade(grade), given_deg * DEG, own)
+    assert [f.reason.key for f in found] == ([key] if key else [])
+    assert latitude_doubts(load_grade(grade), given_deg * DEG, None) == ()

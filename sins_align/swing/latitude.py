@@ -27,10 +27,10 @@ from sins_align.units import DEG, DEG_PER_H
 # Nearer to the equator (and to a pole) there is nothing to be told.
 LEAST_SIN_COS = 0.01
 # With a gyro of navigation grade [rad/s] an error of so much [rad] is to be told before aligned is
-# claimed: sigma has to be so many times smaller, and will be soon where the bias allows as many
-# times more.
+# claimed. Sigma has to be so many times smaller, and will be soon [s] where bias and noise allow it
+# to be smaller yet.
 NAVIGATION_BIAS, TOLD_ERROR = 0.01 * DEG_PER_H, 1.0 * DEG
-TOLD_RATIO, SOON_RATIO = 6.0, 12.0
+TOLD_RATIO, SOON_RATIO, SOON_S = 6.0, 9.0, 120.0
 # What is off by so many sigma is wrong or not, when more data have come.
 DOUBTED_RATIO = 3.0
 
@@ -57,8 +57,9 @@ def latitude_doubts(
 ) -> tuple[Finding, ...]:
     """What an alignment with the latitude `given` [rad] has to wait for; own : that of the data."""
     bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
-    rate = EARTH_RATE * abs(math.sin(given))
-    if own is None or bias > NAVIGATION_BIAS or SOON_RATIO * bias > TOLD_ERROR * rate:
+    least = math.hypot(bias, grade.gyro_arw / math.sqrt(SOON_S))
+    most = TOLD_ERROR / SOON_RATIO * EARTH_RATE * abs(math.sin(given))
+    if own is None or bias > NAVIGATION_BIAS or least > most:
         return ()
     if TOLD_RATIO * own.sigma > TOLD_ERROR:
         most = TOLD_ERROR / TOLD_RATIO / DEG
