@@ -375,8 +375,8 @@ LATITUDE_UNPROVEN = Reason(
     "by the IMU the latitude is known to {sigma_deg:.2f} deg yet, {most_deg:.2f} deg are needed to"
     " see whether it was given right",
     "",
-    "With gyros of navigation grade: 0.01 deg/h or better, and noise to match; nearer to the equator"
-    " even they do not wait. Ends within two minutes or so, or with latitude_check: off.",
+    "With gyros of navigation grade: 0.01 deg/h or better, and noise to match; near the equator even"
+    " they do not wait. Ends within two minutes or so, or with latitude_check: off.",
     "swing",
 )
 LATITUDE_DOUBTED = Reason(
