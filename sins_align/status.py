@@ -15,6 +15,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from sins_align.config import Completion
 from sins_align.grades import ImuGrade
 from sins_align.limits import PATIENCE_S, heading_limit, latitude_differs, level_limit
@@ -131,7 +133,7 @@ class Completer:
             if not findings:
                 findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
             if self._state is State.COARSE:
-                findings = (*findings, *self._heading_limit())
+                findings = (*findings, *(f for f in self._heading_limit() if f not in findings))
             if begin_reason:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))
             return Status(self._state, findings, elapsed_s, None, limit)
@@ -232,14 +234,14 @@ class Completer:
             heading, ratio = abs(float(witness.phi[2])) / ARCMIN, math.sqrt(witness.square)
             doubts.append(WITNESS_DIFFERS(name=witness.name, heading=heading, ratio=ratio))
         for what, found, declared in self._beyond(estimate):
-            if declared > 0.0 and found > self._widened(MAX_BIAS_RATIO) * declared:
+            if declared > 0.0 and not found <= self._widened(MAX_BIAS_RATIO) * declared:
                 doubts.append(BIAS_BEYOND(what=what, ratio=found / declared))
         return doubts
 
     def _beyond(self, estimate: Estimate) -> list[tuple[str, float, float]]:
-        """Estimates and what is declared of them, 1 sigma."""
+        """Estimates and what is declared of them, 1 sigma; NaN where an estimate has one."""
         declared = self._expectation.declared
-        found = [("gyro bias", max(map(abs, estimate.gyro_bias.tolist())), declared.gyro_bias)]
+        found = [("gyro bias", float(np.abs(estimate.gyro_bias).max()), declared.gyro_bias)]
         if declared.accel_bias > 0.0:
             # Along up, it also stands for a height that is wrong.
             up = dcm_from_quaternion(estimate.q_nb)[2]

@@ -164,14 +164,14 @@ def test_standing_tells_the_latitude_at_the_equator_too(latitude_deg: float) -> 
 
 
 def test_the_more_it_rocks_the_less_it_tells() -> None:
-    quiet, lively = (standing(10.0, standing_motion_arcsec=x).latitude for x in (0.0, 10.0))
+    quiet, lively = (standing(10.0, standing_motion_arcsec=x).latitude for x in (0.0, 15.0))
     assert quiet is not None and lively is not None
     assert lively.sigma > 1.3 * quiet.sigma
     assert abs(lively.latitude - 10.0 * DEG) < 3.0 * lively.sigma
 
 
 def test_who_gets_in_and_out_all_the_time_lets_it_tell_nothing() -> None:
-    assert standing(10.0, standing_motion_arcsec=60.0).latitude is None
+    assert standing(10.0, standing_motion_arcsec=200.0).latitude is None
 
 
 def test_the_other_hemisphere_is_told() -> None:

@@ -24,7 +24,7 @@ WINDOW_S, LEAST_S = 120.0, 20.0
 ROCKING_S, CREEP = 20.0, 2e-6
 # Who gets in or out tilts it by more than this [rad], and may turn it for good; in sigma of the
 # accelerometers' noise likewise.
-LEAST_TILT, TILT_RATIO = 1e-4, 6.0
+LEAST_TILT, TILT_RATIO = 3e-4, 6.0
 LEAST_SLOPE = 1e-3
 
 
