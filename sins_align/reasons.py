@@ -191,22 +191,24 @@ AXES_DIFFER = Reason(
     " {left_deg:.1f} deg: gyros and accelerometers may have different axes",
     "check axes and signs of angular_velocity and linear_acceleration: both x forward, y left,"
     " z up, or both turned alike",
-    "Looked for 30 and 60 s after a start. Said until sigma is below the thresholds: on a long"
-    " lever arm and a fast swing it may be wrong.",
+    "Looked for 30 and 60 s after a start, of a base that does not drive. Said until sigma is below"
+    " the thresholds: on a long lever arm and a fast swing it may be wrong.",
 )
 AT_POLE = Reason(
     "at_pole",
     Kind.DOUBT,
     "there is no heading at the pole",
-    "there is no heading at the pole: check latitude_deg",
-    "The Earth's rate has no horizontal part.",
+    "check latitude_deg or the fix",
+    "The Earth's rate has no horizontal part. Said as long as the position is such.",
 )
 UNOBSERVABLE_HERE = Reason(
     "unobservable_here",
     Kind.DOUBT,
-    "heading is unobservable at this latitude: the declared gyro bias allows {limit_deg:.0f} deg",
-    "this gyro cannot find north here: there is no remedy but a better one",
-    "Within 1.1 deg of a pole no heading is given out.",
+    "the pole is so near that heading is not looked for: of the declared gyro bias it would have"
+    " {limit_deg:.1f} deg",
+    "check latitude_deg or the fix; if they are right, take heading from elsewhere, as from two"
+    " GNSS antennas",
+    "Within 1.1 deg of a pole. Ends with a start farther from it.",
     "odo",
 )
 AZIMUTH_LOST = Reason(
@@ -375,8 +377,8 @@ LATITUDE_UNPROVEN = Reason(
     "by the IMU the latitude is known to {sigma_deg:.2f} deg yet, {most_deg:.2f} deg are needed to"
     " see whether it was given right",
     "",
-    "With gyros of navigation grade: 0.01 deg/h or better, and noise to match; near the equator even"
-    " they do not wait. Ends within two minutes or so, or with latitude_check: off.",
+    "With gyros of navigation grade, 0.01 deg/h or better, and noise to match; near the equator not"
+    " even with them. Ends within two minutes or so, or with latitude_check: off.",
     "swing",
 )
 LATITUDE_DOUBTED = Reason(

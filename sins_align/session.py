@@ -82,7 +82,8 @@ class Session:
         self._make_aligner(at_ns)
         self._intake = Intake(self._counts)
         self._completer = make_completer(self._config, self._position)
-        self._units = UnitsWatch(self._config.sampling)
+        is_driving = isinstance(self._config, OdoConfig) and not self._config.stationary
+        self._units = UnitsWatch(self._config.sampling, is_driving)
         self._stamps = StampWatch(self._config.grade.gyro_arw)
         self._begin_reason, self._moves = reason, False
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)

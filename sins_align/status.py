@@ -141,7 +141,7 @@ class Completer:
             if not findings:
                 findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
             if self._state is State.COARSE:
-                findings = (*findings, *self._heading_limit())
+                findings = (*findings, *(f for f in self._heading_limit() if f not in findings))
             if begin_reason:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))
             return Status(self._state, findings, elapsed_s, None, limit)

@@ -31,10 +31,14 @@ class UnitsWatch:
 
     fault : why nothing can be made of the data; None where something can
     hint : what may be wrong with the axes, None where nothing is
+
+    Parameters
+    ----------
+    is_driving : the force of a turn tilts the measured one of a base that does not: no hint
     """
 
-    def __init__(self, sampling: ImuSampling) -> None:
-        self._sampling = sampling
+    def __init__(self, sampling: ImuSampling, is_driving: bool = False) -> None:
+        self._sampling, self._is_driving = sampling, is_driving
         self.fault: Finding | None = None
         self.hint: Finding | None = None
         self._begin()
@@ -72,7 +76,7 @@ class UnitsWatch:
         figures = {"angle_deg": turn / DEG, "span_s": span, "scaled_deg": as_degrees / DEG}
         was_faulty = self.fault is not None
         self.fault = GYRO_IN_DEGREES(**figures) if found else None
-        differ = tilt > LEAST_TILT and left > WORSE * tilt and not found
+        differ = tilt > LEAST_TILT and left > WORSE * tilt and not (found or self._is_driving)
         self.hint = AXES_DIFFER(tilt_deg=tilt / DEG, left_deg=left / DEG) if differ else None
         if found or was_faulty:
             self._begin()

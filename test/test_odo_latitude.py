@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from odo_sessions import align, vehicle
 
+from sins_align.odo.epoch import integrate_epoch
 from sins_align.odo.latitude import LengthError, latitude_of_axis
-from sins_align.types import LatitudeEstimate, State
+from sins_align.odo.pairing import Paired
+from sins_align.odo.standing_latitude import StandingLatitude, combine_latitudes
+from sins_align.types import ImuBlock, LatitudeEstimate, State
 from sins_align.units import DEG
 
 SEEDS = 5
@@ -117,10 +120,12 @@ def test_a_wrong_latitude_is_found_before_aligned_is_claimed(scenario: str, off_
         assert State.ALIGNED not in {u.status.state for u in updates}
 
 
-def test_methods_without_a_free_axis_tell_no_latitude() -> None:
-    run = vehicle("static", 60.0)
-    for parameters in ({"method": "wander_ekf"}, {"coarse": "inertial"}):
-        session, _ = align(run, **parameters)
+def test_methods_without_a_free_axis_tell_no_latitude_on_a_drive() -> None:
+    for scenario, parameters in (
+        ("straight", {"method": "wander_ekf"}),
+        ("straight", {"coarse": "inertial"}),
+    ):
+        session, _ = align(vehicle(scenario, 150.0, rate_hz=50.0), **parameters)
         assert session.estimate is not None and session.estimate.latitude is None
 
 
@@ -129,3 +134,56 @@ def test_a_latitude_that_is_far_out_is_named_though_there_is_no_heading() -> Non
     session, _ = align(run, latitude_deg=run.options.latitude_deg + 10.0)
     assert session.estimate is None
     assert "latitude_doubted" in session.status.keys
+
+
+# -- by the vertical rate, of a vehicle that stands
+
+
+def standing(latitude_deg: float, **changes: Any) -> StandingLatitude:
+    """What a vehicle that stands for 80 s tells, of a latitude that is given 1 deg too high."""
+    run = vehicle("static", 80.0, **{"rate_hz": 50.0, "grade": "rlg", "seed": 6,
+                                     "latitude_deg": latitude_deg, **changes})  # fmt: skip
+    given = (latitude_deg + 1.0) * DEG
+    watch = StandingLatitude(run.options.imu_grade, given)
+    imu, size = run.imu, 50
+    for k in range(0, len(imu) - size, size):
+        block = ImuBlock(*(x[..., k : k + size + 1] for x in imu))
+        watch.add(integrate_epoch(Paired(block, None, None, 0.0), run.options.imu_sampling), True)
+    return watch
+
+
+@pytest.mark.parametrize("latitude_deg", [-60.0, -30.0, -1.5, 0.3, 45.0])
+def test_standing_tells_the_latitude_at_the_equator_too(latitude_deg: float) -> None:
+    """The rocking of the vehicle included, which the simulator lets be 5 arcsec."""
+    square = []
+    for seed in range(SEEDS):
+        own = standing(latitude_deg, seed=seed).latitude
+        assert own is not None and own.sigma * math.cos(latitude_deg * DEG) < 0.15 * DEG
+        square.append(((own.latitude / DEG - latitude_deg) / (own.sigma / DEG)) ** 2)
+    assert max(square) < 9.0
+
+
+def test_the_more_it_rocks_the_less_it_tells() -> None:
+    quiet, lively = (standing(10.0, standing_motion_arcsec=x).latitude for x in (0.0, 15.0))
+    assert quiet is not None and lively is not None
+    assert lively.sigma > 1.3 * quiet.sigma
+    assert abs(lively.latitude - 10.0 * DEG) < 3.0 * lively.sigma
+
+
+def test_who_gets_in_and_out_all_the_time_lets_it_tell_nothing() -> None:
+    assert standing(10.0, standing_motion_arcsec=200.0).latitude is None
+
+
+def test_the_other_hemisphere_is_told() -> None:
+    run = vehicle("static", 80.0, rate_hz=50.0, grade="rlg", latitude_deg=35.0)
+    session, _ = align(run, latitude_deg=-35.0, latitude_check="warn")
+    assert "latitude_differs" in session.status.keys or "latitude_doubted" in session.status.keys
+
+
+def test_two_latitudes_make_one() -> None:
+    own, other = LatitudeEstimate(0.5, 0.01), LatitudeEstimate(0.6, 0.02)
+    both = combine_latitudes(own, other)
+    assert both is not None
+    assert both.latitude == pytest.approx(0.52) and both.sigma == pytest.approx(0.01 * 0.8**0.5)
+    assert combine_latitudes(own, None) is own and combine_latitudes(None, own) is own
+    assert combine_latitudes(None, None) is None

@@ -14,6 +14,7 @@ from sins_align.config import Completion
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
 from sins_align.reasons import (
+    AT_POLE,
     AXES_DIFFER,
     ESTIMATE_BROKE,
     GYRO_IN_DEGREES,
@@ -351,7 +352,7 @@ def test_remedy_at_the_pole() -> None:
         Completer(COMPLETION, pole).update(Advance(0, None), 1.0),
         status_of(estimate(heading=1.0), pole),
     ):
-        assert "at_pole" in status.keys and "no heading at the pole" in status.remedy
+        assert "at_pole" in status.keys and "check latitude_deg" in status.remedy
         assert math.isnan(status.heading_limit)
 
 
@@ -551,3 +552,18 @@ def test_the_keys_of_the_table_are_names() -> None:
     keys = [reason.key for reason in REASONS]
     assert len(set(keys)) == len(keys) > 20
     assert all(key.isidentifier() and key == key.lower() for key in keys)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("what", ["gyro_bias", "accel_bias"])
+def test_a_bias_that_is_no_number_is_in_doubt(what: str, axis: int) -> None:
+    bias = np.zeros(3)
+    bias[axis] = math.nan
+    assert status_of(having(**{what: bias}), expecting(declared=DECLARED)).keys == ("bias_beyond",)
+
+
+def test_the_pole_is_named_once() -> None:
+    """By the aligner and by the thresholds."""
+    pole = Expectation(ImuGrade(), Position(math.pi / 2))
+    status = Completer(COMPLETION, pole).update(Advance(0, None, (AT_POLE(),)), 1.0)
+    assert status.keys == ("at_pole",)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from odo_sessions import align, vehicle
 
 from sins_align.config import swing_config
 from sins_align.session import Session, Update
@@ -185,3 +186,12 @@ def test_both_turned_alike_is_right() -> None:
     session, updates = run(turned)
     assert first_time(updates, "axes_differ") == np.inf
     assert session.status.state is State.ALIGNED
+
+
+@pytest.mark.parametrize("scenario", ["ring", "figure8", "urban", "moving_start"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_drive_never(scenario: str, seed: int) -> None:
+    """In a turn the measured force leans, and the gyros rightly do not."""
+    _, updates = align(vehicle(scenario, 70.0, rate_hz=50.0, grade="rlg", seed=seed))
+    said = {key for update in updates for key in update.status.keys}
+    assert not said & {"axes_differ", "gyro_in_degrees"}

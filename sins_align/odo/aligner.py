@@ -170,8 +170,10 @@ class OdoAligner:
         return Advance(stamp_ns, self._estimate, self._doubts_now())
 
     def _doubts_now(self) -> tuple[Finding, ...]:
-        own = None if self._wander is None else self._wander.latitude
-        return self._doubts.findings(own, self._estimate is not None)
+        return self._doubts.findings(self._own_latitude(), self._estimate is not None)
+
+    def _own_latitude(self) -> LatitudeEstimate | None:
+        return self._doubts.latitude(None if self._wander is None else self._wander.latitude)
 
     def _is_stillborn(self, filter_: AidedFilter) -> bool:
         """Whether the first epochs contradict each other: one of them was an outlier.
@@ -311,7 +313,7 @@ class OdoAligner:
         )
 
     def _latitude(self) -> LatitudeEstimate | None:
-        own = None if self._wander is None else self._wander.latitude
+        own = self._own_latitude()
         return own if own is not None and own.sigma < LATITUDE_SIGMA else None
 
     def _carry(self, filter_: AidedFilter, C_nb: Array, block: ImuBlock) -> tuple[Array, float]:

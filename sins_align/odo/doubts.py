@@ -8,6 +8,7 @@ from sins_align.config import OdoConfig
 from sins_align.odo.epoch import integrate_epoch
 from sins_align.odo.pairing import Paired
 from sins_align.odo.plausibility import OdometerPlausibility
+from sins_align.odo.standing_latitude import StandingLatitude, combine_latitudes
 from sins_align.reasons import LATITUDE_DOUBTED, ODOMETER_SILENT, Finding
 from sins_align.rotation import dcm_from_rpy
 from sins_align.types import LatitudeEstimate
@@ -29,17 +30,23 @@ class Doubts:
         self._config, self._latitude = config, latitude
         forward_b = dcm_from_rpy(*config.odometer.mounting_rpy.tolist())[:, 0]
         self._plausibility = None if config.stationary else OdometerPlausibility(forward_b)
+        self._standing = StandingLatitude(config.grade, latitude)
         self._silent_s = 0.0
 
     def add(self, paired: Paired, standing: bool) -> bool:
         """Take in an epoch; whether an odometer that was wrong has become right."""
-        if self._plausibility is None:
-            return False
         # As the IMU gives it: biases that a wrong odometer has taught are not taken off.
         epoch = integrate_epoch(paired, self._config.sampling)
+        self._standing.add(epoch, standing)
+        if self._plausibility is None:
+            return False
         heard = standing or epoch.travel is not None
         self._silent_s = 0.0 if heard else self._silent_s + epoch.duration_s
         return self._plausibility.add(epoch)
+
+    def latitude(self, own: LatitudeEstimate | None) -> LatitudeEstimate | None:
+        """The one that the data tell; own : by the filter alone."""
+        return combine_latitudes(own, self._standing.latitude)
 
     def findings(self, own: LatitudeEstimate | None, has_estimate: bool) -> tuple[Finding, ...]:
         """What there is to doubt; own : the latitude that the data tell."""
