@@ -413,11 +413,6 @@ def test_of_fewer_components_a_shorter_gyro_bias_is_doubted(told: int) -> None:
         assert status_of(found, expecting(declared=Declared(1e-6))).state is state
 
 
-def test_a_bias_that_is_no_number_is_not_aligned() -> None:
-    found = having(gyro_bias=np.array([math.nan, 0.0, 0.0]))
-    assert status_of(found, expecting(declared=Declared(1e-6))).state is not State.ALIGNED
-
-
 def test_an_accelerometer_bias_beyond_the_declared_one_is_not_aligned() -> None:
     level = having(accel_bias=np.array([6e-3, 0.0, 0.0]))
     upward = having(accel_bias=np.array([0.0, 0.0, 6e-3]))
