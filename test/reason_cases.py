@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -253,11 +253,10 @@ class Nodes:
             self._running[key] = self.start(module, parameters)
         return self._running[key]
 
-    def check(self, case: Case) -> None:
-        """Every stage of a case, and the way to aligned."""
-        live = self.get(case.module, **case.parameters)
-        # Starts while the other one is at work.
-        mending = self.get(case.module, **{**case.parameters, **case.remedy})
+    def check(self, cases: Sequence[Case], number: int) -> None:
+        """Every stage of a case, and the way to aligned; the next one's nodes start meanwhile."""
+        pairs = [self._nodes_of(case) for case in cases[number : number + 2]]
+        case, (live, mending) = cases[number], pairs[0]
         drives = [*(stage.drive for stage in case.stages), case.mended]
         live.begin(next(drive for drive in drives if drive is not None)())
         for stage in case.stages:
@@ -268,6 +267,11 @@ class Nodes:
         if mending is not live:
             mending.begin(mended)
         mending.align(mended)
+
+    def _nodes_of(self, case: Case) -> tuple[Live, Live]:
+        """For its stages, and for what mends it."""
+        remedied = {**case.parameters, **case.remedy}
+        return self.get(case.module, **case.parameters), self.get(case.module, **remedied)
 
 
 @contextmanager

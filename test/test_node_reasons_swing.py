@@ -203,9 +203,9 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
         yield nodes
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_reason_and_remedy(case: Case, nodes: Nodes) -> None:
-    nodes.check(case)
+@pytest.mark.parametrize("number", range(len(CASES)), ids=lambda number: CASES[number].name)
+def test_reason_and_remedy(number: int, nodes: Nodes) -> None:
+    nodes.check(CASES, number)
 
 
 def test_nothing_comes_then_stamps_that_stand_still_then_a_fix(nodes: Nodes) -> None:
