@@ -224,7 +224,7 @@ def test_the_last_word_is_written_where_it_is_one(tmp_path: Path) -> None:
     # The same alignment, taken back: the file must not go on claiming it.
     completion = session.config.completion
     session.set_completion(type(completion)(1e-12, 1e-12, 0.0))
-    session.add_imu(later(8.0, 1025.02))
+    session.add_imu(later(4.0, 1025.02))
     assert (session.status.state is not State.ALIGNED, session.restarts) == (True, 1)
     assert file.write_last(session)
     assert read(target)["aligned"] is False

@@ -88,3 +88,19 @@ def test_a_drive_before_the_heading_is_known_begins_anew_too() -> None:
     assert times(updates, "vehicle_moves")
     assert session.status.state is State.ALIGNED
     assert session.estimate is not None and math.degrees(session.estimate.sigma[2]) < 1.0
+
+
+@pytest.mark.parametrize("scenario", ["still", "pitch", "level"])
+@pytest.mark.parametrize(("metres", "start_s", "length_s"), [(5.0, 12.0, 8.0), (60.0, 25.0, 20.0)])
+def test_a_drive_in_the_first_minute(
+    scenario: str, metres: float, start_s: float, length_s: float
+) -> None:
+    """The Earth's axis is not known yet: noticed within seconds, and begun anew at rest only."""
+    session, updates, _ = run(
+        "rlg", scenario=scenario, drive_m=metres, drive_start_s=start_s, drive_duration_s=length_s
+    )
+    moving = times(updates, "vehicle_moves")
+    assert start_s < moving[0] < start_s + 8.0
+    assert np.diff(moving).max() < 1.1  # all the way
+    assert 0.0 < moving[-1] - (start_s + length_s) < 20.0
+    assert (session.status.state, session.restarts) == (State.ALIGNED, 1)

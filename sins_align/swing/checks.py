@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from sins_align.grades import ImuGrade
 from sins_align.limits import latitude_differs
+from sins_align.reasons import Finding
 from sins_align.swing.epochs import Epochs
-from sins_align.swing.latitude import earth_rate_slope, latitude_column
+from sins_align.swing.latitude import earth_rate_slope, latitude_column, latitude_doubts
 from sins_align.swing.solution import KAPPA, Solution, Solver
 from sins_align.swing.steadiness import Steadiness
 from sins_align.swing.two_stage import PHI, GravityModel, NoiseModel
@@ -21,12 +23,14 @@ class Report(NamedTuple):
     witness, steadiness, latitude : see `Estimate`
     moved : (3,) what the attitude at the last epoch would turn by with the latitude of the data,
         where that is not the one given, in n [rad]; else None
+    doubts : what the latitude has a claim wait for
     """
 
     witness: Witness | None
     steadiness: float
     latitude: LatitudeEstimate | None
     moved: Array | None
+    doubts: tuple[Finding, ...] = ()
 
 
 class Checks:
@@ -35,10 +39,12 @@ class Checks:
     Parameters
     ----------
     gravity, noise : models of the filter
+    grade : as declared
     """
 
-    def __init__(self, gravity: GravityModel, noise: NoiseModel) -> None:
-        self._gravity = gravity
+    def __init__(self, gravity: GravityModel, noise: NoiseModel, grade: ImuGrade) -> None:
+        self._gravity, self._grade = gravity, grade
+        self._has_told_latitude = False
         self._fit = VelocityFit(gravity, noise)
         self._steadiness = Steadiness()
 
@@ -77,4 +83,6 @@ class Checks:
                 phi = filter_.X[PHI, :-1] @ (solution.jacobian @ response + column)
                 turned = earth_rate_slope(given) * float(epochs.time_s[-1])
                 moved = off * (C_nb0 @ (phi - response[KAPPA]) - turned)
-        return Report(witness, self._steadiness.value, latitude, moved)
+        doubts = latitude_doubts(self._grade, given, latitude, self._has_told_latitude)
+        self._has_told_latitude |= not doubts
+        return Report(witness, self._steadiness.value, latitude, moved, doubts)

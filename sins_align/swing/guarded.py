@@ -56,10 +56,8 @@ class GuardedAligner:
             return self._wait(stamp_ns, self._watch.has_stopped())
         self._look()
         if self._watch.has_left():
-            # The block is not taken in. What the base did before its axes were known tells
-            # nothing of when it is still again: the new start will see.
-            self._aligner = None
-            return self._wait(stamp_ns, not self._watch.knows_axes)
+            self._aligner = None  # the block is not taken in
+            return self._wait(stamp_ns, is_still=False)
         return self._aligner.update(block)
 
     def _wait(self, stamp_ns: int, is_still: bool) -> list[Advance]:

@@ -25,7 +25,6 @@ from sins_align.rotation import dcm_from_quaternion, multiply_quaternions
 from sins_align.swing.backtracking import COARSE_SIGMA, Backtracking
 from sins_align.swing.checks import Checks
 from sins_align.swing.foresight import time_to
-from sins_align.swing.latitude import latitude_doubts
 from sins_align.swing.loudness import Loudness
 from sins_align.swing.outcome import C_nb0_at, Outcome, heading_variance
 from sins_align.swing.two_stage import GravityModel
@@ -59,7 +58,7 @@ class InertialAligner:
         )
         self._earth_rate_n = earth_rate_n(position.latitude)
         self._found = found = Backtracking(config, self._gravity)
-        self._checks = Checks(self._gravity, found.noise)
+        self._checks = Checks(self._gravity, found.noise, config.grade)
         self._loudness = Loudness(found.noise)
         self._outcome: Outcome | None = None
         self._estimate: Estimate | None = None
@@ -101,8 +100,7 @@ class InertialAligner:
             findings.append(SWING_WEAK())
         findings += self._loudness.findings
         if self._outcome is not None:
-            own = self._outcome.report.latitude
-            findings += latitude_doubts(self._config.grade, self._gravity.latitude, own)
+            findings += self._outcome.report.doubts
         return tuple(findings)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:

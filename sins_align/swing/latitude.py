@@ -26,9 +26,9 @@ from sins_align.units import DEG, DEG_PER_H
 
 # Nearer to the equator (and to a pole) there is nothing to be told.
 LEAST_SIN_COS = 0.01
-# With a gyro of navigation grade [rad/s] an error of so much [rad] is to be told before aligned is
-# claimed. Sigma has to be so many times smaller, and will be soon [s] where bias and noise allow it
-# to be smaller yet.
+# With a declared bias of navigation grade [rad/s] an error of so much [rad] is to be told before
+# aligned is claimed. Sigma has to be so many times smaller, and will be soon [s] where bias and
+# noise allow it to be smaller yet.
 NAVIGATION_BIAS, TOLD_ERROR = 0.01 * DEG_PER_H, 1.0 * DEG
 TOLD_RATIO, SOON_RATIO, SOON_S = 6.0, 9.0, 120.0
 # What is off by so many sigma is wrong or not, when more data have come.
@@ -53,15 +53,18 @@ def latitude_column(solution: Solution, latitude: float) -> Array | None:
 
 
 def latitude_doubts(
-    grade: ImuGrade, given: float, own: LatitudeEstimate | None
+    grade: ImuGrade, given: float, own: LatitudeEstimate | None, was_told: bool = False
 ) -> tuple[Finding, ...]:
-    """What an alignment with the latitude `given` [rad] has to wait for; own : that of the data."""
+    """What an alignment with the latitude `given` [rad] has to wait for.
+
+    own : the latitude of the data; was_told : whether they have told it before
+    """
     bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
     least = math.hypot(bias, grade.gyro_arw / math.sqrt(SOON_S))
     most = TOLD_ERROR / SOON_RATIO * EARTH_RATE * abs(math.sin(given))
-    if own is None or bias > NAVIGATION_BIAS or least > most:
+    if own is None or not 0.0 < bias <= NAVIGATION_BIAS or least > most:
         return ()
-    if TOLD_RATIO * own.sigma > TOLD_ERROR:
+    if TOLD_RATIO * own.sigma > TOLD_ERROR and not was_told:
         most = TOLD_ERROR / TOLD_RATIO / DEG
         return (LATITUDE_UNPROVEN(sigma_deg=own.sigma / DEG, most_deg=most),)
     ratio = abs(own.latitude - given) / own.sigma

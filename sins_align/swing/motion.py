@@ -8,8 +8,8 @@ carried by the gyros and turned back with the Earth, the lever arm's part taken 
 Over the last half minute of rest a parabola is fitted to it; what comes later is held against its
 continuation. Its second derivative is gravity as these sensors see it, bias and tilt included, so
 that nothing else has to be known. A base that sways by decimetres stays with it; a vehicle that
-drives off leaves it by metres within seconds. Before the Earth's axis and the lever arm are known,
-gravity turns (half a metre in that time) and the IMU swings: the bound is then wider.
+drives off leaves it by metres within seconds. Before the Earth's axis is known gravity turns, by
+g W t: a shorter time of rest is looked at, the lever arm is found with it, and the bound is wider.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.increments import integrate_windows
 from sins_align.rotation import dcm_from_quaternion, rotations_about
 from sins_align.types import Array, Estimate, ImuBlock, ImuSampling
@@ -27,10 +28,16 @@ from sins_align.types import Array, Estimate, ImuBlock, ImuSampling
 # Blocks of a second: so many tell the curve at the most and the least, and so many of them are
 # held against it.
 REFERENCE, LEAST_REFERENCE, RECENT = 30, 12, 5
+# Before the Earth's axis is known so many are.
+BLIND_REFERENCE = 20
 # The centre has left when it is so far from the curve [m], or so many times what the reference
 # itself scatters about it; and with the axes unknown.
 MOVED_M, MOVED_RATIO = 0.5, 8.0
-MOVED_BLIND_M = 3.0
+MOVED_BLIND_M = 1.5
+# What is known of a lever arm that nobody has told, over what a place is uncertain by.
+LEVER_RATIO = 100.0
+# How fast gravity turns in inertial space at most [m/s^3].
+GRAVITY_TURN = GRAVITY_EQUATOR * EARTH_RATE
 # A base that has turned by more than this [rad] in its place moves an IMU on a lever arm, which
 # may be unknown, but no longer than this [m].
 TURNED, REACH_M = 0.35, 15.0
@@ -119,10 +126,12 @@ class MotionWatch:
 
     def has_left(self) -> bool:
         """Whether the centre has left its place now."""
-        least = LEAST_REFERENCE if self.knows_axes else REFERENCE
-        if len(self._nodes) <= least + RECENT:
+        if len(self._nodes) <= LEAST_REFERENCE + RECENT:
             return False
-        track = self._track(REFERENCE + RECENT, np.zeros(3), np.zeros(3))
+        count = (REFERENCE if self.knows_axes else BLIND_REFERENCE) + RECENT
+        if not self.knows_axes:
+            self._r_b = self._lever_arm_of_rest(count)
+        track = self._track(count, np.zeros(3), np.zeros(3))
         reference = slice(None, -RECENT)
         rest = _fit(track.time_s[reference], track.places[reference], 2)
         off = np.linalg.norm(track.places[-2:] - rest.at(track.time_s[-2:]), axis=1)
@@ -136,17 +145,34 @@ class MotionWatch:
         self._follow(track)
         return True
 
+    def _lever_arm_of_rest(self, count: int) -> Array:
+        """(3,) r of p = a + b t + c t^2 + C r over `count` blocks but the last ones."""
+        self._r_b = np.zeros(3)
+        track = self._track(count, np.zeros(3), np.zeros(3))
+        places = track.places[:-RECENT]
+        A = self._columns(track.time_s)[: places.size]
+        prior = np.zeros((3, A.shape[1]))
+        prior[:, 9:] = np.eye(3) / LEVER_RATIO
+        b = np.concatenate((places.ravel(), np.zeros(3)))
+        x, _, _, _ = np.linalg.lstsq(np.concatenate((A, prior)), b, rcond=None)
+        r_b: Array = x[9:]
+        return r_b
+
+    def _columns(self, time_s: Array) -> Array:
+        """(3 N, 12) of a, b, c and r in p = a + b t + c t^2 + C r, at the last N nodes."""
+        C = np.array([node.C for node in list(self._nodes)[-time_s.shape[0] :]])
+        if self.knows_axes:
+            C = rotations_about(-self._w_ie_b0, time_s) @ C
+        powers = np.vander(time_s - time_s[0], 3, increasing=True)
+        return np.concatenate((np.kron(powers, np.eye(3)), C.reshape(-1, 3)), axis=1)
+
     def _has_turned_in_place(self, track: Track, bound: float) -> bool:
         """Whether another lever arm explains where the IMU went: p = a + b t + c t^2 + C dr."""
         nodes = list(self._nodes)[-track.time_s.shape[0] :]
         turn = nodes[0].C.T @ nodes[-1].C
         if float(np.trace(turn)) > 1.0 + 2.0 * math.cos(TURNED):
             return False
-        C = np.array([node.C for node in nodes])
-        if self.knows_axes:
-            C = rotations_about(-self._w_ie_b0, track.time_s) @ C
-        powers = np.vander(track.time_s - track.time_s[0], 3, increasing=True)
-        A = np.concatenate((np.kron(powers, np.eye(3)), C.reshape(-1, 3)), axis=1)
+        A = self._columns(track.time_s)
         x, _, _, _ = np.linalg.lstsq(A, track.places.ravel(), rcond=1e-6)
         left = np.linalg.norm((track.places.ravel() - A @ x).reshape(-1, 3), axis=1)
         return bool(left.max() < bound and float(np.linalg.norm(x[9:])) < REACH_M)
@@ -171,11 +197,12 @@ class MotionWatch:
         last = path[-STILL:]
         fit = _fit(last[:, 0], last[:, 1:], 2)
         force = 2.0 * float(np.linalg.norm(fit.coefficients[2]))
-        if not (fit.scatter < STILL_M and force < STILL_FORCE):
+        turned = 0.0 if self.knows_axes else GRAVITY_TURN * since
+        if not (fit.scatter < STILL_M and force < STILL_FORCE + turned):
             return False
         line = _fit(last[:, 0], last[:, 1:], 1)
         speed = float(np.linalg.norm(line.coefficients[1]))
-        return speed < STILL_SPEED + SPEED_DRIFT * since
+        return speed < STILL_SPEED + (SPEED_DRIFT + 0.5 * turned) * since
 
     def _track(self, count: int, velocity: Array, place: Array) -> Track:
         """The last nodes, in axes of the Earth: their increments are turned back with it.
