@@ -204,8 +204,7 @@ AT_POLE = Reason(
 UNOBSERVABLE_HERE = Reason(
     "unobservable_here",
     Kind.DOUBT,
-    "the pole is so near that heading is not looked for: of the declared gyro bias it would have"
-    " {limit_deg:.1f} deg",
+    "heading is unobservable so near to a pole: the declared gyro bias allows {limit_deg:.1f} deg",
     "check latitude_deg or the fix; if they are right, take heading from elsewhere, as from two"
     " GNSS antennas",
     "Within 1.1 deg of a pole. Ends with a start farther from it.",

@@ -30,12 +30,14 @@ class Paired(NamedTuple):
         not tell for the whole epoch
     variance : of the displacement, as far as the samples tell theirs, and of bridged holes
         [m^2]
+    before : the three samples before the block, as `ImuBlock`; None where there are none
     """
 
     block: ImuBlock
     distance: Array | None
     speed: Array | None
     variance: float
+    before: ImuBlock | None = None
 
 
 class Pairing:
@@ -57,6 +59,7 @@ class Pairing:
         self._parts: list[ImuBlock] = []
         self._stamp_ns: IntArray = np.empty(0, dtype=np.int64)
         self._values: Array = np.empty((6, 0))  # w, f
+        self._before: ImuBlock | None = None  # the last three samples but one of the last epoch
         self._quantum = 0.0
 
     @property
@@ -134,15 +137,16 @@ class Pairing:
         """The epoch that ends at the IMU's sample `end`; t: odometer's time of the samples."""
         if end < LEAST_INTERVALS:
             end, t = LEAST_INTERVALS, None
-        block = self._cut(end)
+        block, before = self._cut(end), self._before
+        self._before = _last_but_one(block) if end > 3 else None
         self._stamp_ns = self._stamp_ns[end:]
         self._values = self._values[:, end:]
-        if t is None or self._track is None:
-            return Paired(block, None, None, 0.0)
-        stretch = self._track.read(t[: end + 1])
+        stretch = None
+        if t is not None and self._track is not None:
+            stretch = self._track.read(t[: end + 1])
         if stretch is None:
-            return Paired(block, None, None, 0.0)
-        return Paired(block, *stretch)
+            return Paired(block, None, None, 0.0, before)
+        return Paired(block, *stretch, before=before)
 
     def _cut(self, end: int) -> ImuBlock:
         # Copies, laid out alike however the samples came: bits depend on that.
@@ -168,6 +172,12 @@ class Pairing:
             self._stamp_ns = np.concatenate((self._stamp_ns, stamps))
             self._values = values
         self._parts = []
+
+
+def _last_but_one(block: ImuBlock) -> ImuBlock:
+    """The three samples before the last one, which is the first of the next block."""
+    kept = slice(-4, -1)
+    return ImuBlock(block.stamp_ns[kept], block.w_ib_b[:, kept], block.f_ib_b[:, kept])
 
 
 def _find_knot(track: OdometerTrack, begin: float, length_s: float) -> tuple[int | None, bool]:
