@@ -7,6 +7,7 @@ import math
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
 from sins_align.types import LatitudeEstimate
+from sins_align.units import DEG_PER_H
 
 # A threshold that is not reached within this time of standing will not be waited for [s].
 PATIENCE_S = 3600.0
@@ -14,12 +15,20 @@ PATIENCE_S = 3600.0
 # A latitude is not that of the data beyond so many sigma, and beyond so much [rad].
 MAX_LATITUDE_RATIO = 5.0
 LEAST_LATITUDE_ERROR = math.radians(0.1)
+# One that is off by so many may be, and more data will tell.
+DOUBTED_LATITUDE_RATIO = 3.0
+NAVIGATION_BIAS = 0.01 * DEG_PER_H  # [rad/s]
 
 
 def latitude_differs(given: float, own: LatitudeEstimate) -> bool:
     """Whether the latitude that was given [rad] is not that of the data."""
     off = abs(own.latitude - given)
     return off > max(LEAST_LATITUDE_ERROR, MAX_LATITUDE_RATIO * own.sigma)
+
+
+def is_navigation_grade(grade: ImuGrade) -> bool:
+    """Whether the gyros' declared bias, drift included, is that of navigation: 0.01 deg/h."""
+    return 0.0 < math.hypot(grade.gyro_bias, grade.gyro_bias_instability) <= NAVIGATION_BIAS
 
 
 def heading_limit(grade: ImuGrade, latitude: float, time_s: float = math.inf) -> float:

@@ -385,8 +385,8 @@ LATITUDE_DOUBTED = Reason(
     Kind.DOUBT,
     "by the IMU the latitude is off by {ratio:.1f} times sigma ({sigma_deg:.3f} deg)",
     "check latitude_deg or the fix",
-    "3 sigma, with gyros of navigation grade (swing) or latitude_check: fail (odo), and 5"
-    " while there is no heading (odo). Ends when more data have told which of the two it is.",
+    "3 sigma, with gyros of navigation grade or latitude_check: fail; 5 while there is no heading"
+    " (odo). Ends when more data have told which of the two it is.",
 )
 ODOMETER_OPPOSITE = Reason(
     "odometer_opposite",

@@ -21,7 +21,13 @@ from scipy.special import chdtri
 
 from sins_align.config import Completion
 from sins_align.grades import ImuGrade
-from sins_align.limits import PATIENCE_S, heading_limit, latitude_differs, level_limit
+from sins_align.limits import (
+    PATIENCE_S,
+    heading_limit,
+    is_navigation_grade,
+    latitude_differs,
+    level_limit,
+)
 from sins_align.reasons import (
     AT_POLE,
     BEGAN_ANEW,
@@ -136,8 +142,8 @@ class Completer:
         limit = self._expectation.heading_limit(elapsed_s)
         if estimate is None:
             self._forget()
-            self._state = _state_without_estimate(step.findings)
-            findings = step.findings
+            findings = tuple(f for f in step.findings if self._is_asked(f, False))
+            self._state = _state_without_estimate(findings)
             if not findings:
                 findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
             if self._state is State.COARSE:
@@ -146,7 +152,7 @@ class Completer:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))
             return Status(self._state, findings, elapsed_s, None, limit)
         missing = self._missing(estimate)
-        said = [f for f in step.findings if self._is_asked(f)]
+        said = [f for f in step.findings if self._is_asked(f, True)]
         doubts = [f for f in said if f.reason.kind is Kind.DOUBT or f.reason is LATITUDE_UNPROVEN]
         notes = [f for f in said if f not in doubts]
         doubts += self._doubts(estimate)
@@ -266,9 +272,14 @@ class Completer:
             ratio = abs(estimate.odometer.scale_error) / declared.odometer_scale
             yield "odometer scale error", ratio, MAX_BIAS_RATIO
 
-    def _is_asked(self, finding: Finding) -> bool:
-        of_latitude = finding.reason in (LATITUDE_UNPROVEN, LATITUDE_DOUBTED)
-        return not (of_latitude and self._expectation.latitude_check == "off")
+    def _is_asked(self, finding: Finding, has_estimate: bool) -> bool:
+        """Whether latitude_check has it said."""
+        if finding.reason not in (LATITUDE_UNPROVEN, LATITUDE_DOUBTED):
+            return True
+        check = self._expectation.latitude_check
+        if check == "off" or not has_estimate or finding.reason is LATITUDE_UNPROVEN:
+            return check != "off"
+        return check == "fail" or is_navigation_grade(self._expectation.grade)
 
     def _latitude(self, estimate: Estimate) -> list[Finding]:
         """Whether the latitude given is that of the data."""

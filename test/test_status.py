@@ -18,6 +18,7 @@ from sins_align.reasons import (
     AXES_DIFFER,
     ESTIMATE_BROKE,
     GYRO_IN_DEGREES,
+    LATITUDE_DOUBTED,
     LEVELLING,
     REASONS,
     STORED_DROPPED,
@@ -49,7 +50,7 @@ from sins_align.types import (
     Status,
     Witness,
 )
-from sins_align.units import ARCMIN, ARCSEC, DEG
+from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
 
 HEADING, LEVEL, HOLD_S = 6.0 * ARCMIN, 30.0 * ARCSEC, 10.0
 COMPLETION = Completion(HEADING, LEVEL, HOLD_S)
@@ -562,3 +563,24 @@ def test_the_pole_is_named_once() -> None:
     pole = Expectation(ImuGrade(), Position(math.pi / 2))
     status = Completer(COMPLETION, pole).update(Advance(0, None, (AT_POLE(),)), 1.0)
     assert status.keys == ("at_pole",)
+
+
+@pytest.mark.parametrize("check", ["warn", "fail", "off"])
+@pytest.mark.parametrize("bias_deg_h", [0.005, 0.02])
+def test_whom_a_doubted_latitude_stops(check: str, bias_deg_h: float) -> None:
+    """Gyros of navigation grade, or whoever asks for it; with other thresholds at run time too."""
+    grade = ImuGrade(gyro_bias=bias_deg_h * DEG_PER_H)
+    expectation = expecting(latitude_check="warn")._replace(grade=grade)
+    doubt = (LATITUDE_DOUBTED(ratio=4.0, sigma_deg=0.1),)
+    completer = Completer(COMPLETION, expectation)
+    completer.set_completion(COMPLETION, check)
+    step = Advance(0, estimate(), doubt)
+    completer.update(step, 0.0)
+    stops = check == "fail" or (check == "warn" and bias_deg_h < 0.01)
+    status = completer.update(step, HOLD_S)
+    assert (status.state is State.ALIGNED, status.keys) == (
+        not stops,
+        ("latitude_doubted",) if stops else (),
+    )
+    waiting = completer.update(Advance(0, None, doubt), HOLD_S + 1.0)
+    assert ("latitude_doubted" in waiting.keys) == (check != "off")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from sins_align.config import OdoConfig
+from sins_align.limits import DOUBTED_LATITUDE_RATIO, MAX_LATITUDE_RATIO
 from sins_align.odo.epoch import integrate_epoch
 from sins_align.odo.pairing import Paired
 from sins_align.odo.plausibility import OdometerPlausibility
@@ -13,9 +14,6 @@ from sins_align.reasons import LATITUDE_DOUBTED, ODOMETER_SILENT, Finding
 from sins_align.rotation import dcm_from_rpy
 from sins_align.types import LatitudeEstimate
 
-# A latitude off by so many sigma is to be told from the given one before aligned is claimed; by
-# so many it is named where there is no heading.
-DOUBTED_LATITUDE, WRONG_LATITUDE = 3.0, 5.0
 # An odometer that says nothing for longer is silent [s].
 SILENT_S = 5.0
 
@@ -27,7 +25,7 @@ class Doubts:
     """
 
     def __init__(self, config: OdoConfig, latitude: float) -> None:
-        self._config, self._latitude = config, latitude
+        self._sampling, self._latitude = config.sampling, latitude
         forward_b = dcm_from_rpy(*config.odometer.mounting_rpy.tolist())[:, 0]
         self._plausibility = None if config.stationary else OdometerPlausibility(forward_b)
         self._standing = StandingLatitude(config.grade, latitude)
@@ -36,7 +34,7 @@ class Doubts:
     def add(self, paired: Paired, standing: bool) -> bool:
         """Take in an epoch; whether an odometer that was wrong has become right."""
         # As the IMU gives it: biases that a wrong odometer has taught are not taken off.
-        epoch = integrate_epoch(paired, self._config.sampling)
+        epoch = integrate_epoch(paired, self._sampling)
         self._standing.add(epoch, standing)
         if self._plausibility is None:
             return False
@@ -55,10 +53,9 @@ class Doubts:
             findings += self._plausibility.findings
         if self._silent_s > SILENT_S:
             findings.append(ODOMETER_SILENT(silent_s=self._silent_s))
-        check = self._config.latitude_check
-        if own is not None and check != "off" and (check == "fail" or not has_estimate):
+        if own is not None:
             # One that is far out keeps heading from ever being known.
-            most = DOUBTED_LATITUDE if has_estimate else WRONG_LATITUDE
+            most = DOUBTED_LATITUDE_RATIO if has_estimate else MAX_LATITUDE_RATIO
             ratio = abs(own.latitude - self._latitude) / own.sigma
             if ratio > most:
                 sigma = math.degrees(own.sigma)

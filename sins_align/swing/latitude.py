@@ -18,21 +18,20 @@ import numpy as np
 
 from sins_align.earth import EARTH_RATE
 from sins_align.grades import ImuGrade
+from sins_align.limits import DOUBTED_LATITUDE_RATIO, is_navigation_grade
 from sins_align.reasons import LATITUDE_DOUBTED, LATITUDE_UNPROVEN, Finding
 from sins_align.swing.solution import X_G, Solution
 from sins_align.swing.two_stage import R_EAST, R_NORTH
 from sins_align.types import Array, LatitudeEstimate
-from sins_align.units import DEG, DEG_PER_H
+from sins_align.units import DEG
 
 # Nearer to the equator (and to a pole) there is nothing to be told.
 LEAST_SIN_COS = 0.01
-# With a declared bias of navigation grade [rad/s] an error of so much [rad] is to be told before
-# aligned is claimed. Sigma has to be so many times smaller, and will be soon [s] where bias and
+# With gyros of navigation grade an error of so much [rad] is to be told before aligned is
+# claimed. Sigma has to be so many times smaller, and will be soon [s] where bias and
 # noise allow it to be smaller yet.
-NAVIGATION_BIAS, TOLD_ERROR = 0.01 * DEG_PER_H, 1.0 * DEG
+TOLD_ERROR = 1.0 * DEG
 TOLD_RATIO, SOON_RATIO, SOON_S = 6.0, 9.0, 120.0
-# What is off by so many sigma is wrong or not, when more data have come.
-DOUBTED_RATIO = 3.0
 
 
 def earth_rate_slope(latitude: float) -> Array:
@@ -59,15 +58,15 @@ def latitude_doubts(
 
     own : the latitude of the data; was_told : whether they have told it before
     """
-    bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
-    least = math.hypot(bias, grade.gyro_arw / math.sqrt(SOON_S))
-    most = TOLD_ERROR / SOON_RATIO * EARTH_RATE * abs(math.sin(given))
-    if own is None or not 0.0 < bias <= NAVIGATION_BIAS or least > most:
+    if own is None:
         return ()
-    if TOLD_RATIO * own.sigma > TOLD_ERROR and not was_told:
-        most = TOLD_ERROR / TOLD_RATIO / DEG
-        return (LATITUDE_UNPROVEN(sigma_deg=own.sigma / DEG, most_deg=most),)
+    bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability, grade.gyro_arw * SOON_S**-0.5)
+    most = TOLD_ERROR / SOON_RATIO * EARTH_RATE * abs(math.sin(given))
+    is_due = is_navigation_grade(grade) and bias < most and not was_told
+    if is_due and TOLD_RATIO * own.sigma > TOLD_ERROR:
+        needed = TOLD_ERROR / TOLD_RATIO / DEG
+        return (LATITUDE_UNPROVEN(sigma_deg=own.sigma / DEG, most_deg=needed),)
     ratio = abs(own.latitude - given) / own.sigma
-    if ratio > DOUBTED_RATIO:
+    if ratio > DOUBTED_LATITUDE_RATIO:
         return (LATITUDE_DOUBTED(ratio=ratio, sigma_deg=own.sigma / DEG),)
     return ()
