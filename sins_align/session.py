@@ -311,7 +311,10 @@ class Session:
             return 0.0
         if self._aligner is None or status.state is State.FAILED or self._status is None:
             return math.nan
-        ahead = self._aligner.foresee(self._config.completion.heading_threshold)
+        try:
+            ahead = self._aligner.foresee(self._config.completion.heading_threshold)
+        except np.linalg.LinAlgError:  # nothing to break a node for
+            return math.nan
         if not math.isfinite(ahead):
             return ahead
         hold = self._config.completion.hold_s
