@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from sins_align import session
+from sins_align import aligners
 from sins_align.config import OdoConfig
 from sins_align.odo.aligner import OdoAligner
 from sins_align.odo.coarse import CoarseAttitude
@@ -110,7 +110,7 @@ class RecordedSession(Session):
         super().__init__(config)
 
     def _make_aligner(self, *arguments: Any) -> None:
-        with patch.object(session, "make_odo_aligner", self._make_recorded):
+        with patch.object(aligners, "make_odo_aligner", self._make_recorded):
             super()._make_aligner(*arguments)
 
     def _make_recorded(self, config: OdoConfig, position: Position) -> RecordedAligner:

@@ -37,6 +37,7 @@ from sins_align.reasons import (
     LATITUDE_WRONG,
     LEVEL_LIMIT,
     LEVEL_SIGMA,
+    UNOBSERVABLE_HERE,
     UNPROVEN,
     UNSTEADY,
     WITNESS_DIFFERS,
@@ -140,7 +141,9 @@ class Completer:
             findings = step.findings
             if not findings:
                 findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
-            if self._state is State.COARSE:
+            # Where heading is not looked for, no threshold and no turn would help.
+            sought = not any(f.reason is UNOBSERVABLE_HERE for f in findings)
+            if self._state is State.COARSE and sought:
                 findings = (*findings, *(f for f in self._heading_limit() if f not in findings))
             if begin_reason:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))

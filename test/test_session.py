@@ -509,7 +509,7 @@ class Broken:
 def test_an_estimate_that_breaks_down_is_never_shown(
     monkeypatch: pytest.MonkeyPatch, singular: bool
 ) -> None:
-    monkeypatch.setattr("sins_align.session.make_aligner", Broken)
+    monkeypatch.setattr("sins_align.aligners.make_aligner", Broken)
     monkeypatch.setattr(Broken, "singular", singular)
     Broken.made = 0
     session, updates = run(imu(duration_s=7.0))
