@@ -21,7 +21,7 @@ from scipy.special import chdtri
 
 from sins_align.config import Completion
 from sins_align.grades import ImuGrade
-from sins_align.limits import PATIENCE_S, heading_limit, latitude_differs, level_limit
+from sins_align.limits import HYSTERESIS, PATIENCE_S, heading_limit, latitude_differs, level_limit
 from sins_align.reasons import (
     AT_POLE,
     BEGAN_ANEW,
@@ -50,8 +50,6 @@ from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
 
 # From here on the levels and heading are small-angle quantities.
 FINE_HEADING_SIGMA = 0.035  # [rad], 2 deg
-# What is left at a wider bound than entered: by this.
-HYSTERESIS = 1.25
 # Mean normalised innovation squared over its expectation: beyond this a sigma is not believed.
 # There is no lower bound: a base that stands stiller than declared gives 0.01, and sigma is then
 # too large, which misleads nobody.

@@ -173,3 +173,10 @@ def test_what_an_alignment_waits_for(
     found = latitude_doubts(load_grade(grade), given_deg * DEG, own)
     assert [f.reason.key for f in found] == ([key] if key else [])
     assert latitude_doubts(load_grade(grade), given_deg * DEG, None) == ()
+
+
+def test_what_was_told_is_not_asked_again_for_a_little_more_sigma() -> None:
+    grade, given = load_grade("rlg"), 40.0 * DEG
+    for sigma_deg, keys in ((0.2, []), (0.22, ["latitude_unproven"])):
+        own = LatitudeEstimate(given, sigma_deg * DEG)
+        assert [f.reason.key for f in latitude_doubts(grade, given, own, True)] == keys

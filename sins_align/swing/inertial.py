@@ -69,6 +69,7 @@ class InertialAligner:
         self._stamp_ns = 0  # end of the last cycle
         self._next_refresh_s = REFRESH_S[0]
         self._next_cycle_s = 0.0
+        self._tells_latitude = False
 
     def update(self, block: ImuBlock) -> list[Advance]:
         """Take in the next block of samples; one step at the end of a cycle."""
@@ -101,8 +102,10 @@ class InertialAligner:
             findings.append(SWING_WEAK())
         findings += self._loudness.findings
         if self._outcome is not None:
-            own = self._outcome.report.latitude
-            findings += latitude_doubts(self._config.grade, self._gravity.latitude, own)
+            own, given = self._outcome.report.latitude, self._gravity.latitude
+            doubts = latitude_doubts(self._config.grade, given, own, self._tells_latitude)
+            self._tells_latitude = not doubts
+            findings += doubts
         return tuple(findings)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:

@@ -18,6 +18,7 @@ import numpy as np
 
 from sins_align.earth import EARTH_RATE
 from sins_align.grades import ImuGrade
+from sins_align.limits import HYSTERESIS
 from sins_align.reasons import LATITUDE_DOUBTED, LATITUDE_UNPROVEN, Finding
 from sins_align.swing.solution import X_G, Solution
 from sins_align.swing.two_stage import R_EAST, R_NORTH
@@ -53,15 +54,22 @@ def latitude_column(solution: Solution, latitude: float) -> Array | None:
 
 
 def latitude_doubts(
-    grade: ImuGrade, given: float, own: LatitudeEstimate | None
+    grade: ImuGrade, given: float, own: LatitudeEstimate | None, was_told: bool = False
 ) -> tuple[Finding, ...]:
-    """What an alignment with the latitude `given` [rad] has to wait for; own : that of the data."""
+    """What an alignment has to wait for.
+
+    Parameters
+    ----------
+    given, own : the latitude [rad], and that of the data
+    was_told : whether it had nothing to wait for before: sigma may have grown a little since, with
+        the position noise
+    """
     bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
     least = math.hypot(bias, grade.gyro_arw / math.sqrt(SOON_S))
     most = TOLD_ERROR / SOON_RATIO * EARTH_RATE * abs(math.sin(given))
     if own is None or bias > NAVIGATION_BIAS or least > most:
         return ()
-    if TOLD_RATIO * own.sigma > TOLD_ERROR:
+    if TOLD_RATIO * own.sigma > TOLD_ERROR * (HYSTERESIS if was_told else 1.0):
         most = TOLD_ERROR / TOLD_RATIO / DEG
         return (LATITUDE_UNPROVEN(sigma_deg=own.sigma / DEG, most_deg=most),)
     ratio = abs(own.latitude - given) / own.sigma
