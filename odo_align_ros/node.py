@@ -48,6 +48,8 @@ class OdoAlignNode(AlignNode):
 
     def input_findings(self) -> list[Finding]:
         """Says so where the topic carries another type, which ROS does not."""
+        if self.values["aiding"] == "stationary":
+            return []  # none is needed
         publishers = self.get_publishers_info_by_topic(self._odom.topic_name)
         types = {publisher.topic_type for publisher in publishers}
         if not types or self._odom_type in types:

@@ -12,6 +12,9 @@ from sins_align.units import DEG_PER_H
 # A threshold that is not reached within this time of standing will not be waited for [s].
 PATIENCE_S = 3600.0
 
+# What is left at a wider bound than entered: by this.
+HYSTERESIS = 1.25
+
 # A latitude is not that of the data beyond so many sigma, and beyond so much [rad].
 MAX_LATITUDE_RATIO = 5.0
 LEAST_LATITUDE_ERROR = math.radians(0.1)

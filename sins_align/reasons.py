@@ -165,8 +165,8 @@ GYRO_IN_DEGREES = Reason(
     "by the gyros gravity has turned by {angle_deg:.0f} deg in {span_s:.0f} s, read as degrees a"
     " second by {scaled_deg:.1f} deg: they give degrees, not radians",
     "have the driver give angular_velocity in rad/s: multiply by 0.0174533",
-    "Looked for 30 and 60 s after a start, and every 30 s until it has gone; the alignment then"
-    " begins anew by itself.",
+    "Looked for 30 and 60 s after a start, of a vehicle that may drive only while it stands, and"
+    " every 30 s until it has gone; the alignment then begins anew by itself.",
 )
 ESTIMATE_BROKE = Reason(
     "estimate_broke",

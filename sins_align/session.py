@@ -73,7 +73,7 @@ class Session:
         self._position = config.position
         self._counts = InputCounts()
         self._odometer_intake = OdometerIntake(self._counts)
-        self._restarts = 0
+        self._restarts = self._failures = 0
         self._initial = config.initial
         self._begin("")
 
@@ -143,6 +143,11 @@ class Session:
     def restarts(self) -> int:
         """How often the alignment began anew, by `restart` or after a gap."""
         return self._restarts
+
+    @property
+    def beginnings(self) -> int:
+        """As `restarts`, with those after a fault of the data or of the estimate."""
+        return self._restarts + self._failures
 
     @property
     def begin_reason(self) -> str:
@@ -280,6 +285,7 @@ class Session:
     def _fail(self, stamp_ns: int, fault: Finding) -> list[Update]:
         """The block is of no use; the alignment begins anew with the first one that is."""
         elapsed = self._intake.elapsed_s(stamp_ns)
+        self._failures += 1
         self._initial = None
         self._make_aligner(stamp_ns)
         self._completer = make_completer(self._config, self._position)
@@ -311,7 +317,10 @@ class Session:
             return 0.0
         if self._aligner is None or status.state is State.FAILED or self._status is None:
             return math.nan
-        ahead = self._aligner.foresee(self._config.completion.heading_threshold)
+        try:
+            ahead = self._aligner.foresee(self._config.completion.heading_threshold)
+        except np.linalg.LinAlgError:  # nothing to break a node for
+            return math.nan
         if not math.isfinite(ahead):
             return ahead
         hold = self._config.completion.hold_s

@@ -22,6 +22,7 @@ from scipy.special import chdtri
 from sins_align.config import Completion
 from sins_align.grades import ImuGrade
 from sins_align.limits import (
+    HYSTERESIS,
     PATIENCE_S,
     heading_limit,
     is_navigation_grade,
@@ -43,6 +44,7 @@ from sins_align.reasons import (
     LATITUDE_WRONG,
     LEVEL_LIMIT,
     LEVEL_SIGMA,
+    UNOBSERVABLE_HERE,
     UNPROVEN,
     UNSTEADY,
     WITNESS_DIFFERS,
@@ -55,8 +57,6 @@ from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
 
 # From here on the levels and heading are small-angle quantities.
 FINE_HEADING_SIGMA = 0.035  # [rad], 2 deg
-# What is left at a wider bound than entered: by this.
-HYSTERESIS = 1.25
 # Mean normalised innovation squared over its expectation: beyond this a sigma is not believed.
 # There is no lower bound: a base that stands stiller than declared gives 0.01, and sigma is then
 # too large, which misleads nobody.
@@ -146,7 +146,9 @@ class Completer:
             self._state = _state_without_estimate(findings)
             if not findings:
                 findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
-            if self._state is State.COARSE:
+            # Where heading is not looked for, no threshold and no turn would help.
+            sought = not any(f.reason is UNOBSERVABLE_HERE for f in findings)
+            if self._state is State.COARSE and sought:
                 findings = (*findings, *(f for f in self._heading_limit() if f not in findings))
             if begin_reason:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))

@@ -3,6 +3,10 @@
 Gravity hardly turns in inertial space (0.25 deg a minute). Carried there by the gyros it must
 stay where it is, whatever the base does; by gyros that give degrees a second it turns 57 times as
 fast as the Earth, and with every motion of the base.
+
+What is carried is the force, though, and that of a vehicle on a bend leans and turns with it: a
+steady circle, read as degrees, is one that stands still. Of a vehicle that may drive only gyros
+are doubted that say what they say in degrees where it stands: 57 times the Earth's rate.
 """
 
 from __future__ import annotations
@@ -11,6 +15,7 @@ import math
 
 import numpy as np
 
+from sins_align.earth import EARTH_RATE
 from sins_align.increments import integrate_rotation
 from sins_align.reasons import AXES_DIFFER, GYRO_IN_DEGREES, Finding
 from sins_align.rotation import dcm_from_quaternion
@@ -24,6 +29,9 @@ VERDICTS = (30, 60)
 MOST_TURN, SHARE = 1.5 * DEG, 0.25
 # A base that tilts by more than this [rad], and gyros that make it worse.
 LEAST_TILT, WORSE = 1.0 * DEG, 1.1
+# Mean rate of a base that stands, by gyros that give degrees [rad/s]; as parts of it, how far it
+# may be off, and how much it may scatter from second to second: wind rocks it.
+STANDS_IN_DEGREES, OFF, SCATTER = EARTH_RATE / DEG, 0.3, 1.5
 
 
 class UnitsWatch:
@@ -34,7 +42,8 @@ class UnitsWatch:
 
     Parameters
     ----------
-    is_driving : the force of a turn tilts the measured one of a base that does not: no hint
+    is_driving : whether the base may drive. The force of a turn tilts the measured one of a base
+        that does not: no hint, and no fault but while it stands
     """
 
     def __init__(self, sampling: ImuSampling, is_driving: bool = False) -> None:
@@ -46,6 +55,7 @@ class UnitsWatch:
     def _begin(self) -> None:
         self._turned = [np.eye(3), np.eye(3)]  # b -> b0, by rates as they are, and as degrees
         self._forces: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
+        self._rates: list[Array] = []  # means of the blocks, as they are, in b
         self._is_done = False
 
     def update(self, block: ImuBlock) -> None:
@@ -61,6 +71,7 @@ class UnitsWatch:
             self._forces[k].append(0.5 * (before + after) @ f_b)
             self._turned[k] = after
         self._forces[2].append(f_b)
+        self._rates.append(block.w_ib_b[:, 1:].mean(axis=1))
         if len(self._forces[2]) in VERDICTS:
             self._judge()
 
@@ -72,6 +83,8 @@ class UnitsWatch:
         found = turn > MOST_TURN and as_degrees < SHARE * turn
         if tilt > LEAST_TILT:  # taken for degrees, they would have to explain it
             found = found and _spread(scaled) < 0.5 * tilt
+        if self._is_driving:
+            found = found and _stands_in_degrees(np.array(self._rates))
         span = round(2 * count / 3)
         figures = {"angle_deg": turn / DEG, "span_s": span, "scaled_deg": as_degrees / DEG}
         was_faulty = self.fault is not None
@@ -83,6 +96,14 @@ class UnitsWatch:
             self._is_done = not found
         else:
             self._is_done = count == VERDICTS[-1]
+
+
+def _stands_in_degrees(rates: Array) -> bool:
+    """Whether (N, 3) are, in degrees a second, those of a base that stands."""
+    mean = rates.mean(axis=0)
+    off = abs(float(np.linalg.norm(mean)) / STANDS_IN_DEGREES - 1.0)
+    scatter = math.sqrt(float(((rates - mean) ** 2).sum(axis=1).mean()))
+    return off < OFF and scatter < SCATTER * STANDS_IN_DEGREES
 
 
 def _turn(forces: Array) -> float:

@@ -10,7 +10,7 @@ import pytest
 from odo_sessions import align, vehicle
 
 from sins_align.odo.epoch import integrate_epoch
-from sins_align.odo.latitude import LengthError, latitude_of_axis
+from sins_align.odo.latitude import LengthError, latitude_of_axis, latitude_of_length
 from sins_align.odo.pairing import Paired
 from sins_align.odo.standing_latitude import StandingLatitude, combine_latitudes
 from sins_align.types import ImuBlock, LatitudeEstimate, State
@@ -51,6 +51,12 @@ def test_no_latitude_where_nothing_is_known(
     e_h: tuple[float, float], sigma: float, given_deg: float
 ) -> None:
     assert latitude_of_axis(np.array(e_h), sigma**2 * np.eye(2), given_deg * DEG) is None
+
+
+def test_at_the_equator_a_perfect_length_has_a_sigma() -> None:
+    """Found on the equator and given there: the chord has no slope to divide by."""
+    found = latitude_of_length(1.0 + 1e-12, 1e-8, 0.0)
+    assert found is not None and found.latitude == 0.0 and np.isfinite(found.sigma)
 
 
 def test_length_error_is_what_a_filter_with_it_as_a_state_finds() -> None:

@@ -117,7 +117,7 @@ def aligned_session() -> Session:
         swing_config(
             {
                 "latitude_deg": 40.0, "imu_grade": "perfect", "heading_threshold_arcmin": 90.0,
-                "level_threshold_arcsec": 300.0, "hold_s": 2.0,
+                "level_threshold_arcsec": 300.0, "hold_s": 2.0, "latitude_check": "off",
             }
         )
     )  # fmt: skip
@@ -173,6 +173,12 @@ def test_an_alignment_that_broke_down_is_nothing_to_put_in_its_place(tmp_path: P
     )
     session.add_imu(more)  # no longer in m/s^2
     assert (session.status.state, session.restarts) == (State.FAILED, 0)
+    assert not file.write_last(session)
+    assert read(target)["aligned"]
+    # Nor are the beginnings of what came after it.
+    again = later(14.0, 29.0)
+    session.add_imu(again)
+    assert session.estimate is not None and session.status.state is not State.ALIGNED
     assert not file.write_last(session)
     assert read(target)["aligned"]
 

@@ -117,6 +117,15 @@ def test_no_time_to_go_where_it_cannot_be_said() -> None:
     assert never.eta_s == math.inf
 
 
+def test_a_forecast_that_breaks_down_breaks_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    def break_down(*_: object) -> float:
+        raise np.linalg.LinAlgError
+
+    session, _ = run(laser().select(slice(0, 1001)), laser_config())
+    monkeypatch.setattr("sins_align.swing.inertial.time_to", break_down)
+    assert math.isnan(session.eta_s)
+
+
 def test_asking_for_the_time_to_go_changes_nothing() -> None:
     whole, expected = run(laser(), laser_config())
     asked = Session(laser_config())

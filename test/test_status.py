@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from sins_align.config import Completion
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
+from sins_align.limits import HYSTERESIS
 from sins_align.reasons import (
     AT_POLE,
     AXES_DIFFER,
@@ -30,7 +31,6 @@ from sins_align.reasons import (
 )
 from sins_align.status import (
     FINE_HEADING_SIGMA,
-    HYSTERESIS,
     MAX_BIAS_RATIO,
     MAX_CONSISTENCY,
     MAX_DISAGREEMENT,

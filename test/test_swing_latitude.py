@@ -173,3 +173,10 @@ def test_what_an_alignment_waits_for(
     found = latitude_doubts(load_grade(grade), given_deg * DEG, own)
     assert [f.reason.key for f in found] == ([key] if key else [])
     assert latitude_doubts(load_grade(grade), given_deg * DEG, None) == ()
+
+
+def test_what_was_told_is_not_asked_again() -> None:
+    """A lever arm that is considered again, say, makes sigma larger, and nothing untold."""
+    own = LatitudeEstimate(40.0 * DEG, 1.0 * DEG)
+    assert latitude_doubts(load_grade("rlg"), 40.0 * DEG, own)
+    assert latitude_doubts(load_grade("rlg"), 40.0 * DEG, own, was_told=True) == ()

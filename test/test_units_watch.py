@@ -195,3 +195,23 @@ def test_a_drive_never(scenario: str, seed: int) -> None:
     _, updates = align(vehicle(scenario, 70.0, rate_hz=50.0, grade="rlg", seed=seed))
     said = {key for update in updates for key in update.status.keys}
     assert not said & {"axes_differ", "gyro_in_degrees"}
+
+
+@pytest.mark.parametrize("scenario", ["ring", "figure8", "straight"])
+def test_nor_one_that_is_begun_on_the_way(scenario: str) -> None:
+    """On a steady circle the force turns with the vehicle: read as degrees, it would stand."""
+    imu = vehicle(scenario, 160.0, rate_hz=50.0, grade="rlg", seed=1).imu
+    for start in range(0, 100, 5):
+        watch = UnitsWatch(ImuSampling.INSTANTANEOUS, is_driving=True)
+        for block in blocks(imu.select(slice(50 * start, 50 * (start + 60) + 1))):
+            watch.update(block)
+            assert watch.fault is None and watch.hint is None
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_degrees_of_a_vehicle_that_may_drive_are_found_while_it_stands(seed: int) -> None:
+    samples = vehicle("static", 70.0, rate_hz=50.0, grade="fog", seed=seed).imu
+    watch = UnitsWatch(ImuSampling.INSTANTANEOUS, is_driving=True)
+    for block in blocks(with_gyros(samples, np.eye(3) / DEG)):
+        watch.update(block)
+    assert watch.fault is not None and watch.fault.reason.key == "gyro_in_degrees"

@@ -44,7 +44,8 @@ def latitude_of_length(length: float, sigma: float, given: float) -> LatitudeEst
     latitude = math.acos(min(length, 1.0))
     half = 0.5 * (latitude - abs(given))
     slope = math.sin(0.5 * (latitude + abs(given))) * float(np.sinc(half / math.pi))
-    if not sigma < MOST_SIGMA * max(slope, LEAST_SLOPE):
+    slope = max(slope, LEAST_SLOPE)  # at the equator, given and found, there is none
+    if not sigma < MOST_SIGMA * slope:
         return None
     return LatitudeEstimate(math.copysign(latitude, given), sigma / slope)
 

@@ -33,7 +33,7 @@ class ResultFile:
         self.estimate_s = 0.0
         self._node = node
         self._begun = time.monotonic()
-        # Restarts before the alignment whose complete result stands in the file.
+        # Beginnings before the alignment whose complete result stands in the file.
         self._complete: int | None = None
         # Where the alignment stands that this run went on from; '': nowhere any more.
         self._initial = os.path.realpath(initial) if initial else ""
@@ -54,7 +54,7 @@ class ResultFile:
         OSError : it could not be written; names the path, and the old file is still there
         """
         if self.path:
-            self._put(self._document(session), session.restarts)
+            self._put(self._document(session), session.beginnings)
 
     def write_last(self, session: Session) -> bool:
         """As `write`, unless what stands in the file is better.
@@ -76,15 +76,15 @@ class ResultFile:
         if not document["aligned"] and Path(self.path).exists():
             if os.path.realpath(self.path) == self._initial:
                 return False
-            begun_anew = session.restarts != self._complete
+            begun_anew = session.beginnings != self._complete
             if self._complete is not None and (begun_anew or document["q_nb_wxyz"] is None):
                 return False
-        self._put(document, session.restarts)
+        self._put(document, session.beginnings)
         return True
 
-    def _put(self, document: dict[str, Any], restarts: int) -> None:
+    def _put(self, document: dict[str, Any], beginnings: int) -> None:
         write_result(Path(self.path), document)
-        self._complete = restarts if document["aligned"] else None
+        self._complete = beginnings if document["aligned"] else None
         if os.path.realpath(self.path) == self._initial:
             self._initial = ""
 
