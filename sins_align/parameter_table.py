@@ -73,7 +73,7 @@ COMMON_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
         "latitude_check",
         "warn",
-        "where the latitude is not that of the data: warn, and align all the same; fail; or off",
+        "where the latitude is not that of the data: warn, fail, or off (not looked at)",
         choices=("warn", "fail", "off"),
         runtime=True,
     ),
