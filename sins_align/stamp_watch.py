@@ -7,6 +7,8 @@ sign after it; what is left is d times the change of w, a random walk of the ang
 
 A base that does not move does not mind. That uneven stamps are wrong, and not those of a sensor
 that samples unevenly, shows in the values: they are smoother by their number than by their stamps.
+Where a vehicle shakes they are smooth by neither; then uneven stamps are believed as long as the
+harm is small.
 """
 
 from __future__ import annotations
@@ -23,8 +25,9 @@ from sins_align.types import Array, ImuBlock
 EVEN = 0.01
 # Jitter counts when its random walk is so many times that of the gyros, and
 MOST_WALK = 1.0
-# when what the stamps leave of the second difference is so many times what numbers leave.
-ROUGHER = 1.1
+# when what the stamps leave of the second difference is so many times what numbers leave; or when
+# it is so many times that of the gyros, and the stamps do not leave less by as much.
+ROUGHER, MOST_UNTOLD_WALK = 1.1, 5.0
 MEMORY = 30  # blocks
 
 
@@ -62,9 +65,11 @@ class StampWatch:
     @property
     def finding(self) -> Finding | None:
         """What is wrong with the stamps, None where nothing is."""
-        if not self._walk > (MOST_WALK * self._gyro_noise) ** 2:
-            return None
-        if not self._by_stamp > ROUGHER**2 * self._by_number:
+        noise = self._gyro_noise**2
+        is_wrong = self._by_stamp > ROUGHER**2 * self._by_number
+        is_right = self._by_number > ROUGHER**2 * self._by_stamp
+        most = MOST_WALK if is_wrong else MOST_UNTOLD_WALK
+        if is_right or not self._walk > most**2 * noise:
             return None
         ratio = math.sqrt(self._walk) / self._gyro_noise if self._gyro_noise > 0.0 else math.inf
         return STAMP_JITTER(jitter_ms=1e3 * math.sqrt(self._jitter), ratio=ratio)
