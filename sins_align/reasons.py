@@ -336,7 +336,7 @@ STAMP_JITTER = Reason(
     "stamp the samples when they are taken, not when they arrive; or declare the noise that this"
     " makes (gyro_arw_deg_sqrt_h)",
     "The values are smoother by their number than by their stamps. Ends when the stamps are right,"
-    " or the base moves less, the later the worse it was: a mean over half a minute has to forget it.",
+    " or the base moves less, the later the worse it was: it is a mean over half a minute.",
 )
 WITNESS_DIFFERS = Reason(
     "witness_differs",
