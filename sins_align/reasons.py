@@ -305,7 +305,7 @@ UNPROVEN = Reason(
     Kind.PROGRESS,
     "there are too few solutions yet to see whether heading stays",
     "",
-    "Ends within half a minute: a claim needs four earlier headings from which this one differs"
+    "Ends within a minute: a claim needs four earlier headings from which this one differs"
     " by no more than it should.",
     "swing",
 )
@@ -334,8 +334,8 @@ STAMP_JITTER = Reason(
     " of the gyros",
     "stamp the samples when they are taken, not when they arrive; or declare the noise that this"
     " makes (gyro_arw_deg_sqrt_h)",
-    "The values are smoother by their number than by their stamps. Ends half a minute after the"
-    " stamps are right, or the base moves less.",
+    "The values are smoother by their number than by their stamps. Ends when the stamps are right,"
+    " or the base moves less, the later the worse it was: it is a mean over half a minute.",
 )
 WITNESS_DIFFERS = Reason(
     "witness_differs",

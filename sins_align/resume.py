@@ -31,7 +31,15 @@ from sins_align.carried import (
 )
 from sins_align.config import OdoConfig, SwingConfig
 from sins_align.earth import earth_rate_n
-from sins_align.reasons import STORED_CHECK, STORED_CONFIRM, STORED_DROPPED, VEHICLE_MOVES
+from sins_align.reasons import (
+    GYRO_NOISY,
+    LATITUDE_DOUBTED,
+    STORED_CHECK,
+    STORED_CONFIRM,
+    STORED_DROPPED,
+    VEHICLE_MOVES,
+    Finding,
+)
 from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
 from sins_align.status import MAX_CONSISTENCY
 from sins_align.stored import StoredAlignment
@@ -58,6 +66,9 @@ from sins_align.units import ARCMIN
 AGREEMENT_LIMIT = 25.90
 # The vehicle drives when its odometer says so for half of the check [m/s].
 DRIVING_SPEED = 0.1
+
+# Doubts of the aligner proper on what a stored attitude hangs on too: the gyros, the Earth's rate.
+SHARED_DOUBTS = (GYRO_NOISY, LATITUDE_DOUBTED)
 
 CONTRADICTED = "the new one differs by {angle:.2g}' in heading (sigma {sigma:.2g}')"
 DRIVES = "the vehicle drives"
@@ -94,6 +105,7 @@ class ResumingAligner:
         self._stamp_ns = 0  # end of the last block, and its last sample
         self._tail = ImuBlock(np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros((3, 0)))
         self._dropped = ""  # why
+        self._shared: tuple[Finding, ...] = ()  # doubts of the last step of the aligner proper
 
     def update(self, block: ImuBlock) -> list[Advance]:
         """Take in the next block; a step for each while the stored attitude is given out."""
@@ -110,7 +122,7 @@ class ResumingAligner:
         given = self._given
         if given is None:
             return steps
-        return [Advance(self._stamp_ns, self._given_out(given, self._stamp_ns))]
+        return [Advance(self._stamp_ns, self._given_out(given, self._stamp_ns), self._shared)]
 
     @property
     def _given(self) -> Carried | None:
@@ -123,6 +135,8 @@ class ResumingAligner:
         before_ns : nothing up to this stamp, where the stored attitude is further on
         """
         before = self._given
+        if steps:
+            self._shared = tuple(f for f in steps[-1].findings if f.reason in SHARED_DOUBTS)
         if any(f.reason is VEHICLE_MOVES for step in steps for f in step.findings):
             self._check, self._carried, self._dropped = None, None, MOVED
         if self._carried is not None and any(step.estimate is not None for step in steps):

@@ -506,3 +506,25 @@ def test_the_order_of_odometer_and_imu_changes_nothing() -> None:
     assert a is not None and b is not None
     assert (a.q_nb == b.q_nb).all()
     assert a.odometer is not None and a.odometer.scale_sigma > 0.0
+
+
+def test_gyros_that_become_noisy_are_doubted_while_the_stored_one_is_given_out() -> None:
+    """It is the gyros that carry it; what is known of them does not wait for the new one."""
+    run = simulate_swing(replace(STILL, grade="rlg", duration_s=240.0))
+    attitude = quaternion_from_dcm(run.truth.C_nb_at(int(run.imu.stamp_ns[0])))
+    sigma = np.array([20.0 * ARCSEC, 20.0 * ARCSEC, 0.8 * ARCMIN])
+    stored = StoredAlignment(attitude, np.diag(sigma**2))
+    config = make_config(run, {"imu_grade": "rlg"})
+    # Eight times the declared noise, from a minute on.
+    white = np.random.default_rng(1).standard_normal(run.imu.w_ib_b.shape)
+    white[:, : 60 * 50] = 0.0
+    w = run.imu.w_ib_b + 8.0 * config.grade.gyro_arw * math.sqrt(50.0) * white
+    imu = ImuSamples(run.imu.stamp_ns, w, run.imu.f_ib_b)
+    _, updates = resume(config, stored, imu)
+    early = [u for u in updates if 45.0 < u.status.elapsed_s < 60.0]
+    assert {u.status.state for u in early} == {State.ALIGNED}
+    noisy = [u for u in updates if "gyro_noisy" in u.status.keys]
+    assert State.ALIGNED not in {u.status.state for u in noisy}
+    assert noisy[0].status.keys == ("gyro_noisy",) and noisy[0].estimate is not None
+    assert noisy[0].estimate.sigma[2] < 0.85 * ARCMIN  # the stored one's
+    assert updates[-1] is noisy[-1]

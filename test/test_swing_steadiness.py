@@ -16,7 +16,7 @@ from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.status import MAX_UNSTEADINESS
 from sins_align.swing.solution import KAPPA, Solution
-from sins_align.swing.steadiness import FIRST_S, LEAST_COUNT, Steadiness
+from sins_align.swing.steadiness import FIRST_S, LEAST_COUNT, SURE_S, Steadiness
 
 START = exp_rotation(np.array([0.2, -0.4, 2.0]))
 
@@ -57,6 +57,29 @@ def test_nothing_is_said_of_a_few_early_or_growing_ones() -> None:
         early.add(solution(0.0, 1e-3), FIRST_S - 1.0)
     assert math.isnan(early.value)
     assert math.isnan(fed([0.0] * 5, [1e-3, 2e-3, 3e-3, 4e-3, 5e-3]).value)  # sigma has grown
+
+
+def test_what_was_said_of_heading_too_early_is_forgotten() -> None:
+    found = Steadiness()
+    found.add(solution(0.5, 0.02), SURE_S - 2.0)
+    values = []
+    for k in range(LEAST_COUNT + 1):
+        found.add(solution(0.0, 0.01 * 0.8**k), SURE_S + k)
+        values.append(found.value)
+    assert values[LEAST_COUNT - 1] > MAX_UNSTEADINESS
+    assert values[LEAST_COUNT] == 0.0
+
+
+def test_heave_does_not_keep_aligned_away_for_ever() -> None:
+    """3 cm, from the start on."""
+    run = simulate_swing(
+        SwingOptions(
+            scenario="pitch", grade="rlg", seed=6, rate_hz=50.0, duration_s=150.0, heave_m=0.03
+        )
+    )
+    session = Session(swing_config({"latitude_deg": 40.0, "imu_grade": "rlg"}))
+    session.add_imu(run.imu)
+    assert "unsteady" not in session.status.keys
 
 
 def largest(seed: int, scenario: str, factor: float) -> float:

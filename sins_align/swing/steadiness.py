@@ -19,6 +19,9 @@ from sins_align.types import Array
 # Solutions of the first seconds are not linear enough.
 FIRST_S = 10.0
 LEAST_COUNT = 4  # earlier solutions
+# Those of before this time may, under heave, be 30 deg off at a sigma of 1 deg. When there are
+# enough later ones they are forgotten: they would never let one be steady.
+SURE_S = 20.0
 # What rounding and what is left of Gauss-Newton may add, of the variance.
 FLOOR = 1e-3
 
@@ -27,7 +30,8 @@ class Steadiness:
     """Remembers the solutions, and holds the last one against all of them."""
 
     def __init__(self) -> None:
-        self._earlier: list[tuple[Array, float]] = []  # attitude, variance of heading
+        # Time, attitude, variance of heading.
+        self._earlier: list[tuple[float, Array, float]] = []
         self._value = math.nan
 
     def add(self, solution: Solution, time_s: float) -> None:
@@ -36,12 +40,15 @@ class Steadiness:
             return
         up = solution.R[:, 2]
         now = float(up @ solution.covariance[KAPPA, KAPPA] @ up)
+        sure = [earlier for earlier in self._earlier if earlier[0] >= SURE_S]
+        if len(sure) >= LEAST_COUNT:
+            self._earlier = sure
         squares = []
-        for R, before in self._earlier:
+        for _, R, before in self._earlier:
             variance = (1.0 + FLOOR) * before - now
             if variance > 0.0:  # else the position noise has grown, say
                 squares.append(float(up @ log_rotation(solution.R @ R.T)) ** 2 / variance)
-        self._earlier.append((solution.R, now))
+        self._earlier.append((time_s, solution.R, now))
         self._value = max(squares) if len(squares) >= LEAST_COUNT else math.nan
 
     @property
