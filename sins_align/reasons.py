@@ -323,8 +323,10 @@ GYRO_NOISY = Reason(
     Kind.DOUBT,
     "the gyros are noisier than declared: {factor:g} times the declared noise explains the data"
     " better, by a factor of e^{log_ratio:.0f}",
-    "declare the noise they have (imu_grade, gyro_arw_deg_sqrt_h); see that nothing shakes the IMU",
-    "Ends when the declared noise explains the data again, or after a restart.",
+    "declare the noise they have (imu_grade, gyro_arw_deg_sqrt_h); see that nothing shakes the IMU,"
+    " and that the vehicle stands on firm ground",
+    "A slow sway of the centre looks alike. Ends when the declared noise explains the data again, or"
+    " after a restart.",
     "swing",
 )
 STAMP_JITTER = Reason(

@@ -22,7 +22,8 @@ STATES = {
     State.COARSE: "the levels are known; heading is not, or no better than 2 deg",
     State.FINE: "heading is known to 2 deg, and is being refined",
     State.ALIGNED: "sigma below both thresholds, no doubt standing, and both for `hold_s`",
-    State.FAILED: "nothing can be made of the data; begins anew by itself with the first that can",
+    State.FAILED: "nothing can be made of the data, and it begins anew with the first that can; or"
+    " the latitude is wrong, with latitude_check: fail",
 }
 # What a reason of a kind does, in the order of the page.
 KINDS = {

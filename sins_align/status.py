@@ -4,7 +4,7 @@
     coarse    the levels are known; heading is not, or no better than 2 deg
     fine      heading is known to 2 deg: from here on errors are small angles
     aligned   sigma below the thresholds, no doubts, and both for hold_s
-    failed    nothing can be made of the data; begins anew by itself
+    failed    nothing can be made of the data; or the latitude is wrong, with latitude_check: fail
 
 Every state is entered and left for reasons of the table in `sins_align.reasons`. A state that has
 been reached is left at a bound by `HYSTERESIS` wider than that at which it was entered.

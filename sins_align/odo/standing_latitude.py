@@ -26,6 +26,8 @@ ROCKING_S, CREEP = 20.0, 2e-6
 # accelerometers' noise likewise.
 LEAST_TILT, TILT_RATIO = 3e-4, 6.0
 LEAST_SLOPE = 1e-3
+# Two latitudes that are further apart, over the sigma of both, are not of one place.
+MOST_APART = 5.0
 
 
 class StandingLatitude:
@@ -104,11 +106,18 @@ def _latitude_of_rate(excess: float, sigma: float, given: float) -> LatitudeEsti
 
 
 def combine_latitudes(
-    own: LatitudeEstimate | None, other: LatitudeEstimate | None
+    own: LatitudeEstimate | None, standing: LatitudeEstimate | None
 ) -> LatitudeEstimate | None:
-    """Of two that have nothing to do with each other."""
-    if own is None or other is None:
-        return own if other is None else other
-    a, b = own.sigma**-2, other.sigma**-2
-    latitude = (a * own.latitude + b * other.latitude) / (a + b)
+    """Of two that have nothing to do with each other; own : by the length of the horizontal part.
+
+    Where they contradict each other the hemisphere may be the other one, of which `own` knows
+    nothing: the mean would be neither.
+    """
+    if own is None or standing is None:
+        return own if standing is None else standing
+    apart = math.hypot(own.sigma, standing.sigma)
+    if abs(own.latitude - standing.latitude) > MOST_APART * apart:
+        return standing
+    a, b = own.sigma**-2, standing.sigma**-2
+    latitude = (a * own.latitude + b * standing.latitude) / (a + b)
     return LatitudeEstimate(latitude, 1.0 / math.sqrt(a + b))

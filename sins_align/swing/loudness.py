@@ -1,10 +1,10 @@
 """Whether the gyros are noisier than declared.
 
 A second filter of the same data takes their noise for `FACTOR` times what is declared. The ratio
-of the likelihoods of the two is the most powerful test there is, and whenever one looks at it: if
-what is declared is true it exceeds c at any time of a run by a chance of 1/c at most (Ville's
-inequality). Nothing of single epochs shows such a noise: the tilt that it leaves takes half a
-minute to come out of the accelerometers' own.
+of the likelihoods of the two is the most powerful test there is, and whenever one looks at it: on
+a centre at rest, and if what is declared is true, it exceeds c at any time of a run by a chance of
+1/c at most (Ville's inequality). Nothing of single epochs shows such a noise: the tilt that it
+leaves takes half a minute to come out of the accelerometers' own.
 """
 
 from __future__ import annotations

@@ -127,5 +127,6 @@ class VelocityFit:
 def _has_turned(C: Array) -> bool:
     """Whether the base has turned since its start, its swing apart; C (K, 3, 3): b -> b0."""
     count = C.shape[0] // MEAN_OF
-    means = C[: count * MEAN_OF].reshape(count, MEAN_OF, 3, 3).mean(axis=1)
-    return bool(np.einsum("ij,kij->k", means[0], means).min() < 1.0 + 2.0 * math.cos(TURNED))
+    means = C[: count * MEAN_OF].reshape(count, MEAN_OF, 9).mean(axis=1)
+    means /= np.linalg.norm(means, axis=1)[:, None]  # a large swing shortens them
+    return bool((3.0 * means @ means[0]).min() < 1.0 + 2.0 * math.cos(TURNED))
