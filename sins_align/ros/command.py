@@ -8,8 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import NoReturn
 
-ALIGNED = 0
-BUG = 1
+ALIGNED = 0  # 1 is Python's own, of a bug
 UNUSABLE = 2
 NOT_ALIGNED = 3
 

@@ -48,23 +48,15 @@ def diagnostic_status(
     reason, remedy = texts(findings)
     level = _level(status, inputs)
     counts = session.counts
-    sigma = (None,) * 3 if estimate is None else (estimate.sigma / ARCMIN).tolist()
-    consistency = None if estimate is None else estimate.consistency
-    latitude = None if estimate is None else estimate.latitude
     values = {
         "state": status.state.value,
         "reason": reason,
         "reason_keys": " ".join(dict.fromkeys(f.reason.key for f in findings)),
         "remedy": remedy,
         "elapsed_s": number_text(status.elapsed_s),
-        "sigma_east_arcmin": number_text(sigma[0], 4),
-        "sigma_north_arcmin": number_text(sigma[1], 4),
-        "sigma_heading_arcmin": number_text(sigma[2], 4),
+        **_estimate_texts(estimate),
         "heading_limit_arcmin": number_text(status.heading_limit / ARCMIN, 4),
         "eta_s": number_text(eta_s, 0),
-        "consistency": number_text(consistency),
-        "latitude_deg": number_text(None if latitude is None else latitude.latitude / DEG, 4),
-        "latitude_sigma_deg": number_text(None if latitude is None else latitude.sigma / DEG, 4),
         "imu_rate_hz": number_text(session.imu_rate_hz),
         "imu_gaps": str(counts.imu_gaps),
         "imu_rejected": str(counts.imu_rejected),
@@ -77,6 +69,20 @@ def diagnostic_status(
         hardware_id=name,
         values=key_values(values),
     )
+
+
+def _estimate_texts(estimate: Estimate | None) -> dict[str, str]:
+    """What the estimate is worth, and what else it tells."""
+    sigma = (None,) * 3 if estimate is None else (estimate.sigma / ARCMIN).tolist()
+    latitude = None if estimate is None else estimate.latitude
+    return {
+        "sigma_east_arcmin": number_text(sigma[0], 4),
+        "sigma_north_arcmin": number_text(sigma[1], 4),
+        "sigma_heading_arcmin": number_text(sigma[2], 4),
+        "consistency": number_text(None if estimate is None else estimate.consistency),
+        "latitude_deg": number_text(None if latitude is None else latitude.latitude / DEG, 4),
+        "latitude_sigma_deg": number_text(None if latitude is None else latitude.sigma / DEG, 4),
+    }
 
 
 def key_values(texts: dict[str, str]) -> list[KeyValue]:

@@ -198,14 +198,8 @@ def build_steps(
     G[:, VEL, DATA], G[:, POS, DATA] = epochs.u[first:], epochs.s[first:]
 
     if noise.calibration:
-        # M f and M w, with f and w of the epoch's middle: column (i, j) is that of the bias
-        # of axis i, times f_j or w_j.
-        f_b = np.einsum("kji,kj->ki", B, u_m) / (T * T)[:, None]
         turn = epochs.C[first:-1].transpose(0, 2, 1) @ epochs.C[first + 1 :]
-        w_b = unskew(turn) / T[:, None]
-        G[:, :9, GYRO_MATRIX] = (bias[..., None] * w_b[:, None, None, :]).reshape(K, 9, 9)
-        G[:, VEL, ACCEL_MATRIX] = -(B[..., None] * f_b[:, None, None, :]).reshape(K, 3, 9)
-        G[:, POS, ACCEL_MATRIX] = -(BB[..., None] * f_b[:, None, None, :]).reshape(K, 3, 9)
+        _calibrate(G, bias, B, BB, np.einsum("kji,kj->ki", B, u_m), unskew(turn), T)
 
     C = epochs.C[first + 1 :]
     H = np.zeros((K, 3, n))
@@ -219,6 +213,20 @@ def build_steps(
         F[:, DRIFT, DRIFT] = decay[:, None, None] * eye
         Q[:, DRIFT, DRIFT] = (noise.drift**2 * (1.0 - decay**2))[:, None, None] * eye
     return Steps(F, added, H, observed)
+
+
+def _calibrate(
+    G: Array, bias: Array, B: Array, BB: Array, force: Array, turn: Array, T: Array
+) -> None:
+    """Write the columns of M_g and M_a into G.
+
+    M f and M w, with f and w of the epoch's middle: column (i, j) is that of the bias of axis i,
+    times f_j or w_j. bias : (K, 9, 3) that of the gyros; force : (K, 3) T^2 f; turn : (K, 3) T w
+    """
+    K, f_b, w_b = T.shape[0], force / (T * T)[:, None], turn / T[:, None]
+    G[:, :9, GYRO_MATRIX] = (bias[..., None] * w_b[:, None, None, :]).reshape(K, 9, 9)
+    G[:, VEL, ACCEL_MATRIX] = -(B[..., None] * f_b[:, None, None, :]).reshape(K, 3, 9)
+    G[:, POS, ACCEL_MATRIX] = -(BB[..., None] * f_b[:, None, None, :]).reshape(K, 3, 9)
 
 
 def _process_noise(T: Array, U: Array, noise: NoiseModel) -> Array:
