@@ -11,11 +11,12 @@ from swing_filtered import LATITUDE_DEG, OPTIONS, Filtered, filter_run
 
 from sins_align.config import swing_config
 from sins_align.increments import integrate_windows
+from sins_align.noise_doubt import DOUBTED, FACTOR
 from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.latitude import latitude_column
-from sins_align.swing.loudness import DOUBTED, FACTOR, Loudness
+from sins_align.swing.loudness import Loudness
 from sins_align.swing.two_stage import DATA, NoiseModel, build_steps
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, ImuBlock, ImuSampling

@@ -102,6 +102,7 @@ class OdoAligner:
         self._wander: WanderFilter | None = None
         self._large: LargeAzimuthFilter | None = None
         self._foresight = Foresight()
+        self._doubts.follow(None)
         self._known: Knowledge | None = None  # of the filter that is given out
         self._witness: Witness | None = None
 
@@ -198,6 +199,7 @@ class OdoAligner:
                 filter_.process(epoch, standing)
         if self._wander is not None:
             self._foresight.add(self._wander)
+        self._doubts.follow(self._wander)
         return stands
 
     def _integrate(self, filter_: AidedFilter, paired: Paired, delay: float) -> AidedEpoch:

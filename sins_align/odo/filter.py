@@ -29,6 +29,7 @@ from sins_align.odo.layout import (
     GYRO_TURN,
     ODOMETER,
     ODOMETER_POSITION,
+    ODOMETER_SCALE,
     PHI,
     VELOCITY,
     path_of,
@@ -60,7 +61,23 @@ _EYE = np.eye(3)
 _ONE_AND_A_HALF = 1.5 * _EYE
 _ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
 _POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
-_GAP_INDEX = np.r_[PHI, VELOCITY]
+GAP_INDEX = np.r_[PHI, VELOCITY]
+
+
+class Taken(NamedTuple):
+    """What was made of a measurement.
+
+    value : (3,) innovation [m]; S : (3, 3) its covariance, noise included [m^2]
+    R : (3, 3) the noise that it was taken in with, which is grown where it was implausible
+    correction : (n,) errors that it took off the estimates
+    jump : variance that the scale, which had jumped, was given first; None: it had not
+    """
+
+    value: Array
+    S: Array
+    R: Array
+    correction: Array
+    jump: float | None
 
 
 class Step(NamedTuple):
@@ -68,6 +85,8 @@ class Step(NamedTuple):
 
     duration_s : its length; A : (n + 3, n), Q : (n + 3, n + 3) transition and its noise
     H, R : (3, n + 3), (3, 3) measurement and its noise; H is zero where nothing was measured
+    gap : (6,) variances that a gap adds to PHI and VELOCITY at the start; None: there was none
+    taken : None where nothing was measured
     """
 
     duration_s: float
@@ -75,6 +94,8 @@ class Step(NamedTuple):
     Q: Array
     H: Array
     R: Array
+    gap: Array | None
+    taken: Taken | None
 
 
 class AidedFilter(ABC):
@@ -172,7 +193,8 @@ class AidedFilter(ABC):
         position = C_start @ (odometer.C_bm @ odometer.x[ODO_POSITION])
         course = navigation.advance(epoch)
         axis = self._axis()
-        forecast = self._forecast(epoch, course, axis, rate)
+        gap = gap_noise(epoch) if epoch.gap_s > 0.0 else None
+        forecast = self._forecast(epoch, course, axis, rate, gap)
         stands = standing is Standing.ASSUMED or (
             standing is Standing.POSSIBLE and self._may_stand(forecast.P, course.path - position)
         )
@@ -183,7 +205,7 @@ class AidedFilter(ABC):
             self._correct(forecast.mean[: self._size])
             nothing = np.zeros((3, self._size + 3))
             # The model uses the array of A again.
-            self.step = Step(epoch.duration_s, self._A.copy(), forecast.Q, nothing, _EYE)
+            self.step = Step(epoch.duration_s, self._A.copy(), forecast.Q, nothing, _EYE, gap, None)
             return stands
         turn = course.w_ia * epoch.duration_s
         seen = odometer.measure(epoch, C_start, navigation.C_ab, course.path, turn, stands)
@@ -191,17 +213,21 @@ class AidedFilter(ABC):
         H[:, PHI] = skew3(seen.arm)
         H[:, ODOMETER] = seen.H
         H[:, self._path] = _EYE
-        self.step = Step(epoch.duration_s, self._A.copy(), forecast.Q, H, seen.R)
         travel = None if stands else epoch.travel
         distance = 0.0 if travel is None else travel.distance
         residual = seen.residual - position
-        innovation = self._update(forecast, H, seen.R, residual, course.path, distance)
+        innovation, taken = self._update(forecast, H, seen.R, residual, course.path, distance)
+        self.step = Step(epoch.duration_s, self._A.copy(), forecast.Q, H, seen.R, gap, taken)
         if travel is not None:
             odometer.adapt(axes, innovation.value, innovation.S + innovation.R)
         return stands
 
-    def _forecast(self, epoch: AidedEpoch, course: Course, axis: Array, rate: float) -> Forecast:
+    def _forecast(
+        self, epoch: AidedEpoch, course: Course, axis: Array, rate: float, gap: Array | None
+    ) -> Forecast:
         """The errors at the end of the epoch, but for the position noise there.
+
+        gap : see `Step`
 
         Raises
         ------
@@ -212,9 +238,9 @@ class AidedFilter(ABC):
         A = self._model.transition(epoch, course, axis, rate)
         A[_ODOMETER_INDEX, _ODOMETER_INDEX] = factor
         A[self._path, ODOMETER_POSITION] = -(course.C_start @ odometer.C_bm)
-        if epoch.gap_s > 0.0:
+        if gap is not None:
             P = self.P.copy()
-            P[_GAP_INDEX, _GAP_INDEX] += gap_noise(epoch)
+            P[GAP_INDEX, GAP_INDEX] += gap
             self.P = P
         self._A = A
         mean, P = self._propagate(A, course)
@@ -245,7 +271,7 @@ class AidedFilter(ABC):
 
     def _update(
         self, forecast: Forecast, H: Array, R: Array, residual: Array, path: Array, distance: float
-    ) -> Innovation:
+    ) -> tuple[Innovation, Taken]:
         """Take in a measurement, with the guards; feeds the errors back.
 
         residual : (3,) what was measured, with noise R (3, 3); path : see `_expect`
@@ -253,7 +279,9 @@ class AidedFilter(ABC):
         """
         innovation, expected = self._compare(forecast, H, R, residual, path)
         inflated = self._fading.inflate(forecast.P, forecast.Q, innovation, distance)
+        jump = None
         if inflated is not None:
+            jump = float(inflated[ODOMETER_SCALE, ODOMETER_SCALE])
             forecast = forecast._replace(P=inflated)
             innovation, expected = self._compare(forecast, H, R, residual, path)
         value, inverse = innovation.value, innovation.inverse
@@ -263,7 +291,8 @@ class AidedFilter(ABC):
         self.nis = nis
         self._note(nis)
         if nis > SOFT_LIMIT:
-            inverse = inverse3(soften(expected.S, R, value, nis))
+            total = soften(expected.S, R, value, nis)
+            inverse, R = inverse3(total), total - expected.S
         n = self._size
         cross = expected.cross[:n]
         gain = cross @ inverse
@@ -271,8 +300,9 @@ class AidedFilter(ABC):
             self._length.update(H, gain, value, inverse)
         P = forecast.P[:n, :n] - gain @ cross.T
         self.P = 0.5 * (P + P.T)
-        self._correct(forecast.mean[:n] + gain @ value)
-        return innovation
+        correction = forecast.mean[:n] + gain @ value
+        self._correct(correction)
+        return innovation, Taken(value, innovation.S + innovation.R, R, correction, jump)
 
     def _compare(
         self, forecast: Forecast, H: Array, R: Array, residual: Array, path: Array

@@ -10,6 +10,7 @@ components, which is cos L, is then imposed for good. Zhao and Qi; docs/odo.md.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,12 +42,27 @@ _BOTH_AZIMUTHS = np.eye(3, 2)
 _NOTHING = np.zeros(3)
 
 
+class HandOver(NamedTuple):
+    """The step from two azimuth states to one.
+
+    e_h, tangent, moved : (2,) the Earth's axis on its circle, by how much an azimuth moves it
+        there, and by how much it has been moved
+    correction : (n,) of the other errors
+    """
+
+    e_h: Array
+    tangent: Array
+    moved: Array
+    correction: Array
+
+
 class WanderFilter(AidedFilter):
     """A wander-azimuth filter.
 
     one_azimuth : whether the azimuth is one state (small-angle model) or two
     latitude : by the length of the Earth's horizontal part, while it is free: the best one
         so far; None before there is one
+    hand_over, scaled : what the last epoch did beyond its step: None and 1.0 are nothing
 
     Parameters
     ----------
@@ -69,6 +85,8 @@ class WanderFilter(AidedFilter):
         super().__init__(SIZE, navigation, odometer, sensors, grade, ScaleJumpFading())
         self.one_azimuth = azimuth_sigma is not None
         self.latitude: LatitudeEstimate | None = None
+        self.hand_over: HandOver | None = None
+        self.scaled = 1.0  # P, by so much
         self._better = math.inf  # sigma from which on another latitude takes its place [rad]
         self._excess = 1.0  # by how much the azimuth says that P is too small
         if azimuth_sigma is None:
@@ -84,6 +102,7 @@ class WanderFilter(AidedFilter):
 
     def process(self, epoch: AidedEpoch, standing: Standing) -> bool:
         """See `AidedFilter`."""
+        self.hand_over, self.scaled = None, 1.0
         stands = super().process(epoch, standing)
         if not self.one_azimuth:
             self._look_at_circle()
@@ -104,6 +123,7 @@ class WanderFilter(AidedFilter):
         excess = self.azimuth().excess
         if excess > FAR_OFF:
             self.P *= excess
+            self.scaled = excess
             # With a wrong latitude that will come again and again: what has told so stays. If it
             # was P that lied, P will soon be smaller by far.
             self._better *= MUCH_BETTER
@@ -199,6 +219,8 @@ class WanderFilter(AidedFilter):
         self._length = self._length_error(azimuth)
         mean, self.P = self.with_one_azimuth(azimuth)
         self.one_azimuth = True
+        moved = azimuth.e_h - self.navigation.e_a[:2]
+        self.hand_over = HandOver(azimuth.e_h, azimuth.tangent, moved, mean)
         self.navigation.e_a[:2] = azimuth.e_h
         self._correct(mean)
 
