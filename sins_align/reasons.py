@@ -429,7 +429,8 @@ STORED_DROPPED = Reason(
     Kind.NOTE,
     "the stored alignment is dropped: {why}",
     "clear initial_result_file once the base has been moved",
-    "It does not fit, or the base moves. The alignment goes on as if nothing had been stored.",
+    "It does not fit, the base moves, or the alignment began anew, after which it is said until"
+    " there is an estimate. The alignment goes on as if nothing had been stored.",
 )
 
 REASONS: tuple[Reason, ...] = tuple(v for v in list(globals().values()) if isinstance(v, Reason))

@@ -39,6 +39,7 @@ from sins_align.reasons import (
     STORED_DROPPED,
     VEHICLE_MOVES,
     Finding,
+    Kind,
 )
 from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
 from sins_align.status import MAX_CONSISTENCY
@@ -64,6 +65,8 @@ from sins_align.units import ARCMIN
 
 # Chi-square of 3 degrees of freedom with one false alarm in 1e5: it is asked again and again.
 AGREEMENT_LIMIT = 25.90
+# So much earlier than the check the samples of the odometer that count for it end [ns].
+LATENCY_MARGIN_NS = 1_000_000_000
 # The vehicle drives when its odometer says so for half of the check [m/s].
 DRIVING_SPEED = 0.1
 
@@ -99,58 +102,88 @@ class ResumingAligner:
         self._check: StoredCheck | None = StoredCheck(
             stored, config.grade, config.sampling, config.completion, position.latitude
         )
+        self._begin_ns: int | None = None  # of the check
         self._carried: Carried | None = None  # from the check on, while nothing is better
         self._is_confirmed = False  # and whether it is given out
         self._consistency = 0.0
-        self._stamp_ns = 0  # end of the last block, and its last sample
-        self._tail = ImuBlock(np.zeros(0, dtype=np.int64), np.zeros((3, 0)), np.zeros((3, 0)))
+        self._stamp_ns = 0  # where it stands; before, where the check ends
+        self._blocks: list[ImuBlock] = []  # from there on
         self._dropped = ""  # why
-        self._shared: tuple[Finding, ...] = ()  # doubts of the last step of the aligner proper
+        self._new: Estimate | None = None  # of the last step of the aligner proper
+        self._findings: tuple[Finding, ...] = ()
 
     def update(self, block: ImuBlock) -> list[Advance]:
         """Take in the next block; a step for each while the stored attitude is given out."""
-        before_ns, self._stamp_ns = self._stamp_ns, int(block.stamp_ns[-1])
-        self._tail = ImuBlock(block.stamp_ns[-1:], block.w_ib_b[:, -1:], block.f_ib_b[:, -1:])
-        if self._carried is not None:
-            self._carried = carry(self._carried, block, self._carrier)
+        self._keep(block)
         steps = self._aligner.update(block)
-        if self._check is not None:
-            self._check.add(block)
-            if self._check.elapsed_s >= CHECK_S:
-                self._settle(self._check)
-        steps = self._take(steps, before_ns)
+        if steps:
+            return self._pass_on(steps)
+        # It has seen the block all the same.
+        stamp_ns = int(block.stamp_ns[-1])
+        self._reach(stamp_ns)
         given = self._given
-        if given is None:
-            return steps
-        return [Advance(self._stamp_ns, self._given_out(given, self._stamp_ns), self._shared)]
+        return [] if given is None else [self._stored_step(given, stamp_ns)]
 
     @property
     def _given(self) -> Carried | None:
         """The stored attitude, where it is what is given out."""
         return self._carried if self._is_confirmed else None
 
-    def _take(self, steps: list[Advance], before_ns: int) -> list[Advance]:
-        """Those steps of the aligner proper that are to be given out.
+    def _keep(self, block: ImuBlock) -> None:
+        """For the check, or until the aligner proper has come so far."""
+        if self._begin_ns is None:
+            self._begin_ns = int(block.stamp_ns[0])
+        if self._check is not None and self._check.elapsed_s < CHECK_S:
+            self._check.add(block)
+            self._stamp_ns = int(block.stamp_ns[-1])
+        elif self._check is not None or self._carried is not None:
+            self._blocks.append(block)
 
-        before_ns : nothing up to this stamp, where the stored attitude is further on
+    def _pass_on(self, steps: list[Advance]) -> list[Advance]:
+        """What is given out at those steps of the aligner proper.
+
+        All that is decided is decided at their stamps, by what is known there: how far the IMU is
+        ahead of what it waits for says nothing.
         """
-        before = self._given
-        if steps:
-            self._shared = tuple(f for f in steps[-1].findings if f.reason in SHARED_DOUBTS)
-        if any(f.reason is VEHICLE_MOVES for step in steps for f in step.findings):
+        return [self._take(step) for step in steps]
+
+    def _take(self, step: Advance) -> Advance:
+        self._reach(step.stamp_ns)
+        self._new, self._findings = step.estimate, step.findings
+        if any(f.reason is VEHICLE_MOVES for f in step.findings):
             self._check, self._carried, self._dropped = None, None, MOVED
-        if self._carried is not None and any(step.estimate is not None for step in steps):
-            self._carried = self._weigh(self._carried)
-        if self._given is not None:
-            return []
-        if before is not None:
-            steps = [step for step in steps if step.stamp_ns > before_ns]
-        return [self._remark(step) for step in steps]
+        elif self._carried is not None and step.estimate is not None:
+            self._carried = self._weigh(self._carried, step.estimate)
+        given = self._given
+        return self._remark(step) if given is None else self._stored_step(given, step.stamp_ns)
+
+    def _stored_step(self, given: Carried, stamp_ns: int) -> Advance:
+        shared = tuple(f for f in self._findings if f.reason in SHARED_DOUBTS)
+        return Advance(stamp_ns, self._given_out(given, stamp_ns), shared)
+
+    def _reach(self, stamp_ns: int) -> None:
+        """Settle what the check says, and carry the stored attitude, up to this sample."""
+        check = self._check
+        if check is not None and check.elapsed_s >= CHECK_S and stamp_ns >= self._stamp_ns:
+            self._settle(check)
+        if self._check is not None:
+            return
+        while self._carried is not None and self._blocks:
+            block = self._blocks.pop(0)
+            end = int(block.stamp_ns.searchsorted(stamp_ns, side="right"))
+            if end > 1:
+                self._carried = carry(self._carried, _cut(block, slice(None, end)), self._carrier)
+                self._stamp_ns = int(block.stamp_ns[end - 1])
+            if end < block.stamp_ns.shape[0]:
+                self._blocks.insert(0, _cut(block, slice(max(end - 1, 0), None)))
+                return
+        self._blocks.clear()
 
     def _remark(self, step: Advance) -> Advance:
         """The step, with what is to be said of the stored alignment."""
         if self._check is not None:
-            done = min(self._check.elapsed_s, CHECK_S)
+            assert self._begin_ns is not None
+            done = min((step.stamp_ns - self._begin_ns) * 1e-9, CHECK_S)
             finding = STORED_CHECK(elapsed_s=done, check_s=CHECK_S)
         elif self._carried is not None:
             finding = STORED_CONFIRM(sigma_deg=math.degrees(HEADING_SIGMA))
@@ -183,15 +216,20 @@ class ResumingAligner:
         covariance = spread(start, w_ie_n, lever, passed.half_s, self._carrier.grade)
         return replace(start, covariance=covariance)
 
-    def _weigh(self, carried: Carried) -> Carried | None:
-        """The stored alignment beside a new one; None if that contradicts it, or is better."""
-        new = self._aligner.propagate(self._tail)
-        if new is None or new.consistency > MAX_CONSISTENCY:
+    def _weigh(self, carried: Carried, new: Estimate) -> Carried | None:
+        """The stored alignment beside a new one; None if that contradicts it, or is better.
+
+        What is itself in doubt says neither.
+        """
+        if self._is_doubted(new):
             return carried
         P = misalignment_covariance(carried, self._carrier)
         both = P + new.misalignment_covariance
         phi = log_rotation(dcm_from_quaternion(new.q_nb) @ carried.C_nb.T)
-        if not float(phi @ np.linalg.solve(both, phi)) <= AGREEMENT_LIMIT:
+        square = float(phi @ np.linalg.solve(both, phi))
+        if math.isnan(square):
+            return carried
+        if square > AGREEMENT_LIMIT:
             angle, sigma = abs(float(phi[2])) / ARCMIN, math.sqrt(both[2, 2]) / ARCMIN
             self._dropped = CONTRADICTED.format(angle=angle, sigma=sigma)
             return None
@@ -201,12 +239,21 @@ class ResumingAligner:
         self._is_confirmed = self._is_confirmed or variance < HEADING_SIGMA**2
         return carried
 
+    def _is_doubted(self, new: Estimate) -> bool:
+        """Whether the aligner proper is not to be believed, as of its last step.
+
+        The consistency is NaN until the first innovation, which comes within seconds.
+        """
+        if any(f.reason.kind is Kind.DOUBT for f in self._findings):
+            return True
+        return not new.consistency <= MAX_CONSISTENCY
+
     def _given_out(self, carried: Carried, stamp_ns: int) -> Estimate:
         """As an estimate; the accelerometers' bias is what is declared, nothing more is known.
 
         What only the aligner proper can know, lever arm or odometer, is its own.
         """
-        new = self._aligner.estimate
+        new = self._new
         return Estimate(
             stamp_ns=stamp_ns,
             q_nb=quaternion_from_dcm(carried.C_nb),
@@ -222,7 +269,7 @@ class ResumingAligner:
 
     @property
     def estimate(self) -> Estimate | None:
-        """At the last stamp of the last block."""
+        """At the last step, where the stored attitude is given out; else see `Aligner`."""
         given = self._given
         return self._aligner.estimate if given is None else self._given_out(given, self._stamp_ns)
 
@@ -231,7 +278,9 @@ class ResumingAligner:
         given = self._given
         if given is None:
             return self._aligner.propagate(block)
-        ahead = carry(given, block, self._carrier)
+        ahead = given
+        for part in (*self._blocks, block):
+            ahead = carry(ahead, part, self._carrier)
         return self._given_out(ahead, int(block.stamp_ns[-1]))
 
     def foresee(self, heading: float) -> float:
@@ -242,7 +291,9 @@ class ResumingAligner:
         return self._aligner.foresee(heading)
 
     def next_step(self, ahead_s: float) -> float:
-        """See `Aligner`: every block is a step while the stored attitude is given out."""
+        """See `Aligner`: every block, or every step of the aligner proper, is one while the stored
+        attitude is given out.
+        """
         return ahead_s if self._given is not None else self._aligner.next_step(ahead_s)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
@@ -251,9 +302,13 @@ class ResumingAligner:
         old = None if self._given is None else self.propagate(block)
         if old is None:
             return new
-        if new is None or new.consistency > MAX_CONSISTENCY:
+        if new is None or self._is_doubted(new):
             return old
         return new if _heading_variance(new) < _heading_variance(old) else old
+
+
+def _cut(block: ImuBlock, part: slice) -> ImuBlock:
+    return ImuBlock(block.stamp_ns[part], block.w_ib_b[:, part], block.f_ib_b[:, part])
 
 
 def _heading_variance(estimate: Estimate) -> float:
@@ -273,17 +328,27 @@ class ResumingAidedAligner(ResumingAligner):
     ) -> None:
         super().__init__(aligner, config, position, stored)
         self._aided = aligner
+        self._latency_ns = round(config.odometer.latency * 1e9)
         self._samples: list[OdometerSamples] = []  # while the check goes on
 
+    def update(self, block: ImuBlock) -> list[Advance]:
+        """Take in the next block; a step for each of the aligner proper."""
+        self._keep(block)
+        return self._pass_on(self._aided.update(block))
+
     def aid(self, samples: OdometerSamples) -> list[Advance]:
-        """Take in samples of the odometer."""
+        """Take in samples of the odometer; a step for each of the aligner proper."""
         if self._check is not None:
             self._samples.append(samples)
-        return self._take(self._aided.aid(samples), self._stamp_ns)
+        return self._pass_on(self._aided.aid(samples))
 
     def _doubt(self) -> str:
-        """A vehicle that drives straight on is as still as one that stands."""
-        end_ns, begin_ns = self._stamp_ns, self._stamp_ns - round(CHECK_S * 1e9)
+        """A vehicle that drives straight on is as still as one that stands.
+
+        By samples that the aligner proper has not come so far without, whatever latency it finds.
+        """
+        begin_ns = self._stamp_ns - round(CHECK_S * 1e9) + self._latency_ns
+        end_ns = self._stamp_ns - LATENCY_MARGIN_NS + self._latency_ns
         speeds = [
             speed
             for samples in self._samples

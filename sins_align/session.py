@@ -9,6 +9,7 @@ were handed over.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
@@ -26,6 +27,7 @@ from sins_align.reasons import (
     LEVELLING,
     NO_IMU,
     NO_POSITION,
+    STORED_DROPPED,
     VEHICLE_MOVES,
     Finding,
 )
@@ -49,6 +51,7 @@ from sins_align.units_watch import UnitsWatch
 # How far back an odometer's samples are of use to an alignment that begins [ns].
 KEPT_NS = 5_000_000_000
 HAD_MOVED = "the vehicle had moved"
+ANEW = "the alignment began anew: {why}"
 
 
 class Update(NamedTuple):
@@ -75,6 +78,7 @@ class Session:
         self._odometer_intake = OdometerIntake(self._counts)
         self._restarts = self._failures = 0
         self._initial = config.initial
+        self._forgotten: tuple[Finding, ...] = ()  # what is said of it once it is dropped here
         self._begin("")
 
     def _begin(self, reason: str, at_ns: int | None = None) -> None:
@@ -85,6 +89,8 @@ class Session:
         is_driving = isinstance(self._config, OdoConfig) and not self._config.stationary
         self._units = UnitsWatch(self._config.sampling, is_driving)
         self._stamps = StampWatch(self._config.grade.gyro_arw)
+        # What these say after a block, by its end; of those that the aligner is not through with.
+        self._watched: deque[tuple[int, tuple[Finding, ...]]] = deque()
         self._begin_reason, self._moves = reason, False
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
@@ -123,6 +129,7 @@ class Session:
             yield LEVELLING(elapsed_s=0.0)
         if self._begin_reason:
             yield BEGAN_ANEW(cause=self._begin_reason)
+        yield from self._forgotten
 
     @property
     def config(self) -> SwingConfig | OdoConfig:
@@ -194,8 +201,14 @@ class Session:
 
     def _restart(self, reason: str, at_ns: int | None = None) -> None:
         self._restarts += 1
-        self._initial = None  # nobody has seen whether the base has moved meanwhile
+        self._forget_stored(reason)
         self._begin(reason, at_ns)
+
+    def _forget_stored(self, why: str) -> None:
+        """Nobody has seen whether the base has moved meanwhile; to be said until an estimate is."""
+        if self._initial is not None:
+            self._initial = None
+            self._forgotten = (STORED_DROPPED(why=ANEW.format(why=why)),)
 
     def add_imu(self, samples: ImuSamples) -> list[Update]:
         """Take in samples in the order of their arrival; one update for every block filled.
@@ -248,6 +261,8 @@ class Session:
         if fault is None:
             self._units.update(block)
             self._stamps.update(block)
+            said = tuple(f for f in (self._units.hint, self._stamps.finding) if f is not None)
+            self._watched.append((int(block.stamp_ns[-1]), said))
             fault = self._units.fault
         if fault is not None:
             return self._fail(int(block.stamp_ns[-1]), fault)
@@ -268,8 +283,12 @@ class Session:
                 return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
             self._note_motion(step)
-            more = [f for f in (self._units.hint, self._stamps.finding) if f is not None]
-            step = step._replace(findings=(*step.findings, *more))
+            while self._watched[0][0] < step.stamp_ns:
+                self._watched.popleft()
+            more = self._watched[0][1]
+            if step.estimate is not None:
+                self._forgotten = ()
+            step = step._replace(findings=(*step.findings, *more, *self._forgotten))
             self._status = self._completer.update(step, elapsed, self._begin_reason)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates
@@ -286,10 +305,10 @@ class Session:
         """The block is of no use; the alignment begins anew with the first one that is."""
         elapsed = self._intake.elapsed_s(stamp_ns)
         self._failures += 1
-        self._initial = None
+        self._forget_stored(fault.text)
         self._make_aligner(stamp_ns)
         self._completer = make_completer(self._config, self._position)
-        self._status = Status(State.FAILED, (fault,), elapsed)
+        self._status = Status(State.FAILED, (fault, *self._forgotten), elapsed)
         return [Update(stamp_ns, None, self._status)]
 
     @property

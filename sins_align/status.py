@@ -239,10 +239,11 @@ class Completer:
     def _doubts(self, estimate: Estimate) -> list[Finding]:
         """Why sigma is not to be believed."""
         doubts = []
-        if estimate.consistency > self._widened(MAX_CONSISTENCY):
-            doubts.append(INCONSISTENT(ratio=estimate.consistency))
-        steadiness = estimate.steadiness
-        if steadiness is not None and math.isnan(steadiness):
+        consistency, steadiness = estimate.consistency, estimate.steadiness
+        if consistency > self._widened(MAX_CONSISTENCY):
+            doubts.append(INCONSISTENT(ratio=consistency))
+        # Neither stays NaN: an innovation comes within seconds, solutions within a minute.
+        if math.isnan(consistency) or (steadiness is not None and math.isnan(steadiness)):
             doubts.append(UNPROVEN())
         elif steadiness is not None and steadiness > self._widened(MAX_UNSTEADINESS):
             doubts.append(UNSTEADY(ratio=math.sqrt(steadiness)))

@@ -1,8 +1,8 @@
-"""Simulated drives through a session of `odo_align`: for the tests of the large-azimuth methods."""
+"""Simulated drives through a session of `odo_align`, and every bit of what comes out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -41,6 +41,50 @@ def align(run: VehicleRun, **parameters: Any) -> tuple[Session, list[Update]]:
     session = Session(config_of(run, **parameters))
     updates = session.add_odometer(run.odometer)
     return session, updates + session.add_imu(run.imu)
+
+
+def bits(estimate: Estimate | None) -> tuple[object, ...]:
+    """Every bit of an estimate."""
+    if estimate is None:
+        return ()
+    odometer = estimate.odometer
+    arrays = [
+        estimate.q_nb, estimate.misalignment_covariance, estimate.gyro_bias,
+        estimate.gyro_bias_sigma, estimate.accel_bias, estimate.accel_bias_sigma,
+    ]  # fmt: skip
+    numbers: list[float] = [estimate.consistency]
+    if odometer is not None:
+        arrays += [
+            odometer.mounting_rpy, odometer.mounting_covariance, odometer.lever_arm_b,
+            odometer.lever_arm_covariance,
+        ]  # fmt: skip
+        numbers += [
+            odometer.scale_error, odometer.scale_sigma, odometer.latency_s,
+            odometer.latency_sigma_s,
+        ]  # fmt: skip
+    return estimate.stamp_ns, *(array.tobytes() for array in arrays), *map(repr, numbers)
+
+
+def trace(updates: Sequence[Update]) -> list[tuple[object, ...]]:
+    return [(u.stamp_ns, bits(u.estimate), u.status) for u in updates]
+
+
+def hand_over(
+    run: VehicleRun, imu_ns: int, lead_ns: int, session: Session
+) -> Iterator[list[Update]]:
+    """In pieces of imu_ns; the odometer is ahead of the IMU by lead_ns."""
+    imu, odometer = run.imu, run.odometer
+    begin, given = 0, 0
+    last = int(imu.stamp_ns[-1])
+    for until in range(int(imu.stamp_ns[0]), last + imu_ns, imu_ns):
+        end = int(np.searchsorted(imu.stamp_ns, until, "right"))
+        known = int(np.searchsorted(odometer.stamp_ns, until + lead_ns, "right"))
+        if known > given:
+            yield session.add_odometer(odometer.select(slice(given, known)))
+        if end > begin:
+            yield session.add_imu(imu.select(slice(begin, end)))
+        begin, given = max(begin, end), max(given, known)
+    yield session.add_odometer(odometer.select(slice(given, None)))
 
 
 class Curve(NamedTuple):

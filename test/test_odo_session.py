@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from odo_sessions import vehicle
+from odo_sessions import bits, hand_over, trace, vehicle
 from scipy.stats import chi2
 
 from evidence.monte_carlo import misalignment_of
@@ -59,32 +59,6 @@ def whole(run: VehicleRun, **parameters: Any) -> tuple[Session, list[Update]]:
     session = Session(config_of(run, **parameters))
     updates = session.add_odometer(run.odometer)
     return session, updates + session.add_imu(run.imu)
-
-
-def bits(estimate: Estimate | None) -> tuple[object, ...]:
-    """Every bit of an estimate."""
-    if estimate is None:
-        return ()
-    odometer = estimate.odometer
-    arrays = [
-        estimate.q_nb, estimate.misalignment_covariance, estimate.gyro_bias,
-        estimate.gyro_bias_sigma, estimate.accel_bias, estimate.accel_bias_sigma,
-    ]  # fmt: skip
-    numbers: list[float] = [estimate.consistency]
-    if odometer is not None:
-        arrays += [
-            odometer.mounting_rpy, odometer.mounting_covariance, odometer.lever_arm_b,
-            odometer.lever_arm_covariance,
-        ]  # fmt: skip
-        numbers += [
-            odometer.scale_error, odometer.scale_sigma, odometer.latency_s,
-            odometer.latency_sigma_s,
-        ]  # fmt: skip
-    return estimate.stamp_ns, *(array.tobytes() for array in arrays), *map(repr, numbers)
-
-
-def trace(updates: Sequence[Update]) -> list[tuple[object, ...]]:
-    return [(u.stamp_ns, bits(u.estimate), u.status) for u in updates]
 
 
 def ratio(run: VehicleRun, estimate: Estimate) -> float:
@@ -176,24 +150,6 @@ def test_aligned_is_claimed_when_sigma_is_below_the_thresholds_and_not_before() 
 # -- the same samples, the same bits
 
 
-def hand_over(
-    run: VehicleRun, imu_ns: int, lead_ns: int, session: Session
-) -> Iterator[list[Update]]:
-    """In pieces of imu_ns; the odometer is ahead of the IMU by lead_ns."""
-    imu, odometer = run.imu, run.odometer
-    begin, given = 0, 0
-    last = int(imu.stamp_ns[-1])
-    for until in range(int(imu.stamp_ns[0]), last + imu_ns, imu_ns):
-        end = int(np.searchsorted(imu.stamp_ns, until, "right"))
-        known = int(np.searchsorted(odometer.stamp_ns, until + lead_ns, "right"))
-        if known > given:
-            yield session.add_odometer(odometer.select(slice(given, known)))
-        if end > begin:
-            yield session.add_imu(imu.select(slice(begin, end)))
-        begin, given = max(begin, end), max(given, known)
-    yield session.add_odometer(odometer.select(slice(given, None)))
-
-
 MESSY = {
     "odometer_latency_s": 0.1,
     "odometer_jitter_s": 0.005,
@@ -205,7 +161,11 @@ MESSY = {
 }
 
 
-@pytest.mark.parametrize("changes", [{}, MESSY], ids=["clean", "messy"])
+# Stamps that jitter are told with gyros as good as that.
+GOOD_GYROS = {**MESSY, "grade": "rlg"}
+
+
+@pytest.mark.parametrize("changes", [{}, MESSY, GOOD_GYROS], ids=["clean", "messy", "good gyros"])
 @pytest.mark.parametrize(
     ("imu_ns", "lead_ns"),
     [(10_000_000, 0), (10_000_000, SECOND), (10_000_000, -SECOND), (70_000_000, -300_000_000),

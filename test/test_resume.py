@@ -6,20 +6,26 @@ one, with other noise, starts from it.
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
-from odo_sessions import config_of, misalignment
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from odo_sessions import bits, config_of, hand_over, misalignment, trace
 from scipy.stats import chi2
 
 from evidence.monte_carlo import make_config, misalignment_of
 from sins_align.config import OdoConfig, SwingConfig
 from sins_align.earth import GRAVITY_EQUATOR
-from sins_align.resume import AGREEMENT_LIMIT
+from sins_align.intake import Intake
+from sins_align.reasons import GYRO_NOISY, LATITUDE_DOUBTED, STORED_DROPPED, Finding
+from sins_align.resume import AGREEMENT_LIMIT, ResumingAligner
 from sins_align.ros.result import Timing, result_document, result_text
 from sins_align.rotation import exp_rotation, quaternion_from_dcm
 from sins_align.session import Session, Update
@@ -35,7 +41,7 @@ from sins_align.simulate import (
 )
 from sins_align.stored import StoredAlignment, stored_alignment
 from sins_align.stored_check import CHECK_S, CHI_SQUARE_LIMIT, DEGREES
-from sins_align.types import Array, Estimate, ImuSamples, State
+from sins_align.types import Advance, Array, Estimate, ImuBlock, ImuSamples, InputCounts, State
 from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
 
 SECOND = 1_000_000_000
@@ -374,19 +380,55 @@ def test_how_samples_come_changes_nothing(rlg: tuple[SwingRun, StoredAlignment])
     assert a.stamp_ns == run.imu.stamp_ns[-1]
 
 
-def test_a_restart_and_a_gap_drop_it(rlg: tuple[SwingRun, StoredAlignment]) -> None:
+def said(updates: list[Update]) -> list[str]:
+    """What is said of the dropped alignment, by update."""
+    return [
+        "; ".join(f.text for f in u.status.findings if f.reason is STORED_DROPPED) for u in updates
+    ]
+
+
+def assert_said_until_there_is_an_estimate(updates: list[Update], why: str) -> None:
+    first = next(k for k, u in enumerate(updates) if u.estimate is not None)
+    assert first > 0
+    words = f"the stored alignment is dropped: the alignment began anew: {why}"
+    assert said(updates[:first]) == [words] * first
+    assert set(said(updates[first:])) == {""}
+
+
+def test_a_restart_drops_it(rlg: tuple[SwingRun, StoredAlignment]) -> None:
     """Nobody has seen whether the base has moved meanwhile."""
     run = second_run()
     session, _ = resume(make_config(run, {}), rlg[1], run.imu.select(slice(0, 50 * 20)))
     session.restart()
-    session.add_imu(run.imu.select(slice(50 * 20, None)))
+    assert session.status.keys == ("no_imu", "began_anew", "stored_dropped")
+    updates = session.add_imu(run.imu.select(slice(50 * 20, None)))
+    assert_said_until_there_is_an_estimate(updates, "restarted on request")
     estimate = session.estimate
     assert estimate is not None
     assert estimate.sigma[2] > 2.0 * ARCMIN
-    gap = run.imu.select(np.r_[0 : 50 * 10, 50 * 20 : len(run.imu)])
+    session.restart()  # there is nothing left to drop
+    assert "stored_dropped" not in session.status.keys
+
+
+@pytest.mark.parametrize("at_s", [10, 40])
+def test_a_gap_drops_it(at_s: int, rlg: tuple[SwingRun, StoredAlignment]) -> None:
+    run = second_run()
+    gap = run.imu.select(np.r_[0 : 50 * at_s, 50 * (at_s + 2) : len(run.imu)])
     session, updates = resume(make_config(run, {}), rlg[1], gap)
     assert session.restarts == 1
-    assert "stored alignment" not in updates[-1].status.reason
+    later = [u for u in updates if u.stamp_ns > run.imu.stamp_ns[50 * at_s]]
+    assert_said_until_there_is_an_estimate(later, "2.0 s without IMU data")
+
+
+def test_a_fault_drops_it(rlg: tuple[SwingRun, StoredAlignment]) -> None:
+    run = second_run()
+    f = run.imu.f_ib_b.copy()
+    f[:, 50 * 20 : 50 * 21] = 0.0
+    imu = ImuSamples(run.imu.stamp_ns, run.imu.w_ib_b, f)
+    _, updates = resume(make_config(run, {}), rlg[1], imu)
+    failed = next(k for k, u in enumerate(updates) if u.status.state is State.FAILED)
+    fault = updates[failed].status.findings[0].text
+    assert_said_until_there_is_an_estimate(updates[failed:], fault)
 
 
 def test_the_method_of_the_paper_resumes_too(rlg: tuple[SwingRun, StoredAlignment]) -> None:
@@ -494,18 +536,93 @@ def replace_heading_sigma(stored: StoredAlignment, sigma: float) -> StoredAlignm
     return replace(stored, misalignment_covariance=P)
 
 
-def test_the_order_of_odometer_and_imu_changes_nothing() -> None:
-    stored = parked(2, "fog")
-    run = simulate_vehicle(replace(PARKED, seed=1002, duration_s=50.0))
-    whole, _ = resume_drive(run, stored)
+MESSY = {
+    "odometer_latency_s": 0.1,
+    "odometer_jitter_s": 0.005,
+    "stamp_jitter_s": 1e-4,
+    "outlier_fraction": 0.01,
+    "lost_fraction": 0.01,
+    "dropouts": ((25.0, 3.0), (40.0, 6.0)),
+}
+
+
+@functools.cache
+def stored_and_next(grade: str, heading_sigma: float) -> tuple[StoredAlignment, VehicleRun]:
+    """It stands through the check and drives off; what is stored is not as good as it gets."""
+    options = replace(PARKED, seed=1002, grade=grade, rate_hz=100.0, duration_s=75.0)
+    with pytest.MonkeyPatch.context() as patch:
+        stand_then_drive(patch, 42.0, 10.0)
+        run = simulate_vehicle(replace(options, scenario="straight", **MESSY))
+    return replace_heading_sigma(parked(2, grade), heading_sigma), run
+
+
+def assert_same_bits(
+    session: Session, found: list[Update], expected: tuple[Session, list[Update]]
+) -> None:
+    assert trace(found) == trace(expected[1])
+    assert [u.stamp_ns for u in found] == sorted({u.stamp_ns for u in found})
+    assert bits(session.estimate) == bits(expected[0].estimate) != ()
+    assert bits(session.conclusion) == bits(expected[0].conclusion)
+
+
+@pytest.mark.parametrize("case", [("fog", 0.0), ("fog", 1.0 * DEG), ("rlg", 2.0 * ARCMIN)])
+@pytest.mark.parametrize(
+    ("imu_ns", "lead_ns"),
+    [(10_000_000, 0), (70_000_000, -700_000_000), (SECOND, SECOND), (20_000_000, -1_400_000_000)],
+)
+def test_handing_over_changes_no_bit(case: tuple[str, float], imu_ns: int, lead_ns: int) -> None:
+    """What is stored and what is new are weighed at their stamps, not when samples arrive.
+
+    The odometer is late by no more than odom_timeout_s less what the longest epoch is longer.
+    """
+    stored, run = stored_and_next(*case)
+    expected = resume_drive(run, stored)
     session = Session(replace(config_of(run, **FIRST), initial=stored))
-    for imu, odometer in run.chunks(0.7):
-        session.add_imu(imu)
-        session.add_odometer(odometer)
-    a, b = whole.estimate, session.estimate
-    assert a is not None and b is not None
-    assert (a.q_nb == b.q_nb).all()
-    assert a.odometer is not None and a.odometer.scale_sigma > 0.0
+    found = [u for part in hand_over(run, imu_ns, lead_ns, session) for u in part]
+    assert_same_bits(session, found, expected)
+
+
+@settings(max_examples=6, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    st.lists(st.integers(0, 7500), max_size=20),
+    st.lists(st.floats(-1.4, 1.0), min_size=22, max_size=22),
+    st.lists(st.booleans(), min_size=22, max_size=22),
+)
+def test_any_pieces_and_asking_change_no_bit(
+    cuts: list[int], leads_s: list[float], ask: list[bool]
+) -> None:
+    stored, run = stored_and_next("fog", 1.0 * DEG)
+    expected = resume_drive(run, stored)
+    pieces = Session(replace(config_of(run, **FIRST), initial=stored))
+    found: list[Update] = []
+    given_ = 0
+    edges = sorted({0, len(run.imu), *(c for c in cuts if c < len(run.imu))})
+    for (a, b), lead_s, asked in zip(pairwise(edges), leads_s, ask, strict=False):
+        for c in range(a, b, 50):
+            d = min(c + 50, b)
+            until = int(run.imu.stamp_ns[d - 1]) + round(lead_s * 1e9)
+            known = max(given_, int(np.searchsorted(run.odometer.stamp_ns, until, "right")))
+            found += pieces.add_odometer(run.odometer.select(slice(given_, known)))
+            found += pieces.add_imu(run.imu.select(slice(c, d)))
+            given_ = known
+        if asked:
+            before = bits(pieces.estimate)
+            assert bits(pieces.conclusion) is not None and bits(pieces.estimate) == before
+            assert pieces.eta_s >= 0.0 or math.isnan(pieces.eta_s)
+    found += pieces.add_odometer(run.odometer.select(slice(given_, None)))
+    assert_same_bits(pieces, found, expected)
+
+
+def test_what_is_carried_is_given_out_to_the_last_sample() -> None:
+    """With an odometer that is late: the steps wait for it, the attitude does not."""
+    stored, run = stored_and_next("rlg", 2.0 * ARCMIN)
+    session = Session(replace(config_of(run, **FIRST), initial=stored))
+    session.add_odometer(run.odometer.select(run.odometer.stamp_ns < run.imu.stamp_ns[4000]))
+    updates = session.add_imu(run.imu.select(slice(0, 4120)))
+    estimate = session.estimate
+    assert estimate is not None and estimate.odometer is not None
+    assert estimate.stamp_ns == run.imu.stamp_ns[4119] > updates[-1].stamp_ns + SECOND
+    assert nees(run, estimate) < 25.0
 
 
 def test_gyros_that_become_noisy_are_doubted_while_the_stored_one_is_given_out() -> None:
@@ -528,3 +645,70 @@ def test_gyros_that_become_noisy_are_doubted_while_the_stored_one_is_given_out()
     assert noisy[0].status.keys == ("gyro_noisy",) and noisy[0].estimate is not None
     assert noisy[0].estimate.sigma[2] < 0.85 * ARCMIN  # the stored one's
     assert updates[-1] is noisy[-1]
+
+
+@pytest.mark.parametrize("seed", [2, 5, 7])
+def test_a_new_one_in_doubt_does_not_drop_it(seed: int) -> None:
+    """Gyros at ten times the declared noise from a minute on: the new one is off by six sigma."""
+    run = simulate_swing(replace(STILL, grade="rlg", duration_s=210.0, seed=seed))
+    config = make_config(run, {"imu_grade": "rlg"})
+    white = np.random.default_rng(seed).standard_normal(run.imu.w_ib_b.shape)
+    white[:, : 60 * 50] = 0.0
+    w = run.imu.w_ib_b + 10.0 * config.grade.gyro_arw * math.sqrt(50.0) * white
+    imu = ImuSamples(run.imu.stamp_ns, w, run.imu.f_ib_b)
+    session, updates = resume(config, known(run, 0.8 * ARCMIN), imu)
+    assert set(said(updates)) == {""}
+    estimate = session.conclusion
+    assert estimate is not None and estimate.sigma[2] < 0.85 * ARCMIN
+    phi = misalignment_of(estimate, run.truth.C_nb_at(estimate.stamp_ns))
+    assert abs(phi[2]) < 3.0 * estimate.sigma[2]  # the levels drift off, by gyros that are worse
+    assert session.status.state is not State.ALIGNED
+
+
+class Told:
+    """An aligner that says the same at every block."""
+
+    def __init__(self, run: SwingRun, phi: Array, sigma: float, *said: Finding, **changes: Any):
+        C_nb = exp_rotation(-phi) @ run.truth.C_nb_at(int(run.imu.stamp_ns[0]))
+        P, zero = np.diag([ARCMIN**2 * 100.0, ARCMIN**2 * 100.0, sigma**2]), np.zeros(3)
+        rest = {"consistency": 1.0, **changes}
+        self.estimate = Estimate(0, quaternion_from_dcm(C_nb), P, zero, zero, zero, zero, **rest)
+        self.said = said
+
+    def update(self, block: ImuBlock) -> list[Advance]:
+        return [Advance(int(block.stamp_ns[-1]), self.estimate, self.said)]
+
+
+DOUBTED: dict[str, tuple[tuple[Finding, ...], dict[str, Any]]] = {
+    "a doubt": ((GYRO_NOISY(factor=4.0, log_ratio=9.0),), {}),
+    "the latitude": ((LATITUDE_DOUBTED(ratio=4.0, sigma_deg=0.1),), {}),
+    "inconsistent": ((), {"consistency": 3.0}),
+    "no innovation yet": ((), {"consistency": math.nan}),
+    "not finite": ((), {"q_nb": np.full(4, math.nan)}),
+}
+
+
+@pytest.mark.parametrize("case", ["", *DOUBTED])
+def test_what_is_in_doubt_says_nothing(case: str) -> None:
+    """Of a heading that waits to be confirmed: unless it is in doubt, one confirms, one drops."""
+    run = second_run(**WIND)
+    shaken = np.random.default_rng(1).normal(0.0, 0.02, run.imu.f_ib_b.shape)
+    config, stored = make_config(run, {}), known(run, 2.0 * ARCMIN)
+    assert config.position is not None
+    findings, changes = DOUBTED.get(case, ((), {}))
+    for turned, sigma in ((0.0, 0.2 * DEG), (10.0 * DEG, 0.2 * DEG), (0.0, 0.1 * ARCMIN)):
+        told = Told(run, np.array([0.0, 0.0, turned]), sigma, *findings)
+        told.estimate = replace(told.estimate, **changes)
+        aligner = ResumingAligner(told, config, config.position, stored)  # type: ignore[arg-type]
+        intake = Intake(InputCounts())
+        intake.add(ImuSamples(run.imu.stamp_ns, run.imu.w_ib_b, run.imu.f_ib_b + shaken))
+        steps: list[Advance] = []
+        while (block := intake.next_block()) is not None:
+            steps += aligner.update(block)
+        keys = [f.reason.key for f in steps[-1].findings if f not in findings]
+        if case:
+            assert keys == ["stored_confirm"]
+            continue
+        assert keys == (["stored_dropped"] if turned else [])
+        is_stored = steps[-1].estimate is not told.estimate
+        assert is_stored == (turned == 0.0 and sigma > ARCMIN)

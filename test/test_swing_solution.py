@@ -168,3 +168,20 @@ def test_more_data_are_more_information() -> None:
     one = solver.covariance(1e9 * filtered.filter.normal, filtered.solution)
     two = solver.covariance(2e9 * filtered.filter.normal, filtered.solution)
     assert one[KAPPA, KAPPA] == pytest.approx(2.0 * two[KAPPA, KAPPA], rel=1e-3)
+
+
+@pytest.mark.parametrize("factor", [0.0, np.nan, np.inf])
+def test_a_parameter_that_the_data_do_not_tell_has_no_score(factor: float) -> None:
+    filtered = swing()
+    with np.errstate(invalid="ignore"):
+        column = factor * np.where(latitude(filtered) == 0.0, 0.0, 1.0)
+        with pytest.raises(np.linalg.LinAlgError):
+            filtered.solver.score(filtered.filter.normal, filtered.solution, column)
+
+
+def test_sums_that_are_no_squares_have_no_score() -> None:
+    filtered = plain(swing())
+    column, normal = latitude(filtered), filtered.filter.normal.copy()
+    normal[:-1, :-1] -= 2.0 * np.outer(column, column) * (column @ normal[:-1, :-1] @ column)
+    with pytest.raises(np.linalg.LinAlgError):
+        filtered.solver.score(normal, filtered.solution, column)

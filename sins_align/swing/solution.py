@@ -212,6 +212,10 @@ class Solver:
         Returns
         -------
         y, its 1 sigma, and (m,) what x would change by per y
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError : the data say nothing of y
         """
         J, A = self._jacobian(at), normal[:-1, :-1]
         N, gradient = self._reduced(normal, at)
@@ -221,6 +225,8 @@ class Solver:
         response = -covariance @ cross
         slope = float(column @ (A @ at.theta + normal[:-1, DATA])) + float(response @ gradient)
         information = float(column @ A @ column) + float(response @ cross)
+        if not 0.0 < information < math.inf:
+            raise np.linalg.LinAlgError("the data do not determine one more parameter")
         # A considered error c moves the slope by this per c.
         moved = (cross + response @ N) @ considered / information
         sigma = math.sqrt(1.0 / information + float(moved @ moved))
