@@ -325,8 +325,8 @@ GYRO_NOISY = Reason(
     " better, by a factor of e^{log_ratio:.0f}",
     "declare the noise they have (imu_grade, gyro_arw_deg_sqrt_h); see that nothing shakes the IMU,"
     " and that the vehicle stands on firm ground",
-    "A slow sway of a swing's centre looks alike. Ends when the declared noise explains the data again,"
-    " or after a restart.",
+    "A slow sway of a swing's centre looks alike. Ends when the declared noise explains the data"
+    " again, or after a restart.",
 )
 STAMP_JITTER = Reason(
     "stamp_jitter",
