@@ -92,6 +92,7 @@ class Session:
         # What these say after a block, by its end; of those that the aligner is not through with.
         self._watched: deque[tuple[int, tuple[Finding, ...]]] = deque()
         self._begin_reason, self._moves = reason, False
+        self._begun_s = 0.0  # when, of the time since the first sample
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
         self._status: Status | None = None
 
@@ -282,28 +283,30 @@ class Session:
                 broke = ESTIMATE_BROKE(cause="it is not finite")
                 return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
-            self._note_motion(step)
+            self._note_motion(step, elapsed)
             while self._watched[0][0] < step.stamp_ns:
                 self._watched.popleft()
             more = self._watched[0][1]
             if step.estimate is not None:
                 self._forgotten = ()
             step = step._replace(findings=(*step.findings, *more, *self._forgotten))
-            self._status = self._completer.update(step, elapsed, self._begin_reason)
+            self._status = self._completer.update(step, elapsed, self._begin_reason, self._begun_s)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates
 
-    def _note_motion(self, step: Advance) -> None:
+    def _note_motion(self, step: Advance, elapsed_s: float) -> None:
         """Count the start after a drive: the aligner has begun anew by itself."""
         moves = any(f.reason is VEHICLE_MOVES for f in step.findings)
         if self._moves and not moves:
             self._restarts += 1
             self._begin_reason = HAD_MOVED
+        if moves:
+            self._begun_s = elapsed_s
         self._moves = moves
 
     def _fail(self, stamp_ns: int, fault: Finding) -> list[Update]:
         """The block is of no use; the alignment begins anew with the first one that is."""
-        elapsed = self._intake.elapsed_s(stamp_ns)
+        self._begun_s = elapsed = self._intake.elapsed_s(stamp_ns)
         self._failures += 1
         self._forget_stored(fault.text)
         self._make_aligner(stamp_ns)

@@ -129,7 +129,9 @@ class Completer:
         self.completion = completion
         self._expectation = self._expectation._replace(latitude_check=latitude_check)
 
-    def update(self, step: Advance, elapsed_s: float, begin_reason: str = "") -> Status:
+    def update(
+        self, step: Advance, elapsed_s: float, begin_reason: str = "", begun_s: float = 0.0
+    ) -> Status:
         """Status after a step of the aligner.
 
         Parameters
@@ -137,9 +139,10 @@ class Completer:
         step : what the aligner says
         elapsed_s : time from the first sample [s]
         begin_reason : why the alignment began anew, empty at the first start
+        begun_s : and when [s]
         """
         estimate = step.estimate
-        limit = self._expectation.heading_limit(elapsed_s)
+        limit = self._expectation.heading_limit(elapsed_s - begun_s)
         if estimate is None:
             self._forget()
             findings = tuple(f for f in step.findings if self._is_asked(f, False))

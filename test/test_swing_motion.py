@@ -55,6 +55,10 @@ def test_a_drive_is_noticed_waited_for_and_begun_anew_after(
             assert update.status.state is State.WAITING and update.estimate is None
             assert "stop the vehicle" in update.status.remedy
     assert times(updates, "began_anew")[0] > moving[-1]
+    # Of the time that the new one has had.
+    early = next(u.status for u in updates if u.status.elapsed_s > moving[-1] + 20.0)
+    late = updates[-1].status
+    assert early.heading_limit > 1.2 * late.heading_limit > 0.0
     # Whatever is claimed is true, before and after.
     claims = [u for u in updates if u.status.state is State.ALIGNED]
     assert claims and claims[-1].status.elapsed_s > moving[-1]
