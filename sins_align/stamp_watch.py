@@ -46,9 +46,9 @@ class StampWatch:
     def update(self, block: ImuBlock) -> None:
         """Take in a block."""
         steps = np.diff(block.stamp_ns) * 1e-9
-        usual = float(np.median(steps))
         jitter = walk = by_number = by_stamp = 0.0
-        if steps.shape[0] > 3 and np.ptp(steps) > EVEN * usual:
+        if steps.shape[0] > 3 and np.ptp(steps) > EVEN * steps.min():
+            usual = float(np.median(steps))
             w, inner = block.w_ib_b, np.abs(steps / usual - 1.0) < 0.9  # a lost sample is no jitter
             jitter = 0.5 * float(np.mean((steps[inner] - usual) ** 2)) if inner.any() else 0.0
             change = np.diff(w, axis=1)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sins_align.odo.epoch import AidedEpoch, integrate_epoch
-from sins_align.odo.pairing import Pairing
+from sins_align.odo.epoch import AidedEpoch, as_measured, integrate_epoch
+from sins_align.odo.pairing import Paired, Pairing
 from sins_align.rotation import unskew3
 from sins_align.types import ImuBlock, ImuSampling
 
@@ -77,3 +77,20 @@ def test_means_and_uneven_stamps_are_left_alone() -> None:
     means = epochs(2.0, ImuSampling.MEAN)
     angle = np.cumsum([unskew3(epoch.C_end)[0] for epoch in means])
     assert np.abs(angle).max() < 2.0 * AMPLITUDE
+
+
+def test_what_was_measured_is_the_epoch_without_its_biases() -> None:
+    """To first order, and as if it turned at one rate."""
+    stream = np.random.default_rng(5)
+    t = np.arange(101) / 50.0
+    w = 0.2 * np.sin(t + np.arange(3)[:, None]) + 0.02 * stream.standard_normal((3, 101))
+    f = np.array([[0.3], [-0.5], [9.8]]) + 0.5 * np.sin(3.0 * t + np.arange(3)[:, None])
+    block = ImuBlock(np.round(t * 1e9).astype(np.int64), w, f)
+    paired = Paired(block, None, None, 0.0)
+    bias = np.array([3e-5, -2e-5, 5e-5, 2e-3, -1e-3, 4e-3])
+    whole = integrate_epoch(paired, ImuSampling.MEAN)
+    found = as_measured(integrate_epoch(paired, ImuSampling.MEAN, bias), bias)
+    without = integrate_epoch(paired, ImuSampling.MEAN, bias)
+    for name, share in (("C_end", 1e-3), ("u", 2e-2)):
+        off = np.abs(getattr(found, name) - getattr(whole, name)).max()
+        assert off < share * np.abs(getattr(without, name) - getattr(whole, name)).max()

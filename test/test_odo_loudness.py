@@ -15,6 +15,7 @@ from scipy.stats import binom, multivariate_normal
 
 from sins_align.noise_doubt import DOUBTED, FACTOR
 from sins_align.odo.aligner import OdoAligner
+from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ErrorModel, ImuNoise
 from sins_align.odo.filter import GAP_INDEX, Step, Taken
 from sins_align.odo.imu_model import imu_noise
@@ -190,11 +191,12 @@ def test_it_is_a_filter_with_its_own_navigation(monkeypatch: pytest.MonkeyPatch)
         assert filter_.step is not None and filter_.step.taken is not None
         return -0.5 * (float(np.linalg.slogdet(filter_.step.taken.S)[1]) + filter_.nis)
 
-    def both(paired: Paired, delay: float) -> bool:
-        other.process(aligner._integrate(other, paired, delay), Standing.NO)
-        stands = process(paired, delay)
+    def both(paired: Paired, delay: float) -> tuple[bool, AidedEpoch]:
+        bias = other.bias(paired.block.w_ib_b)
+        other.process(aligner._integrate(other, paired, delay, bias), Standing.NO)
+        result = process(paired, delay)
         added.append(log_density(other) - log_density(first))
-        return stands
+        return result
 
     aligner._process = both  # type: ignore[method-assign]
     add_until(session, 80.0, run, 20.0)

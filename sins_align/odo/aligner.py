@@ -10,7 +10,7 @@ from sins_align.config import OdoConfig
 from sins_align.increments import integrate_rotation
 from sins_align.limits import heading_limit
 from sins_align.odo.doubts import Doubts
-from sins_align.odo.epoch import AidedEpoch, integrate_epoch
+from sins_align.odo.epoch import AidedEpoch, as_measured, integrate_epoch
 from sins_align.odo.filter import AidedFilter
 from sins_align.odo.foresight import Foresight
 from sins_align.odo.knowledge import Knowledge, carry_attitude, knowledge_of
@@ -146,8 +146,9 @@ class OdoAligner:
         stamp_ns = int(paired.block.stamp_ns[-1])
         stands = self._config.stationary
         if self._filter is not None:
-            stands = self._process(paired, delay)
+            stands, measured = self._process(paired, delay)
         else:
+            measured = integrate_epoch(paired, self._config.sampling)
             started = self._starter.add(paired, self._pairing.quantum)
             if started is not None:
                 self._wander, waiting = started
@@ -156,7 +157,7 @@ class OdoAligner:
         if any(map(self._is_stillborn, self._filters())):
             self._begin()
             self._begun_anew += 1
-        if self._doubts.add(paired, stands):
+        if self._doubts.add(measured, stands):
             # What was learned of an odometer that was wrong is wrong.
             self._begin()
             self._begun_anew = 0
@@ -186,25 +187,31 @@ class OdoAligner:
         infant = filter_.epochs <= INFANT_EPOCHS and filter_.nis > CONTRADICTION
         return infant or (filter_.epochs <= YOUNG_EPOCHS and filter_.consistency > DISBELIEF)
 
-    def _process(self, paired: Paired, delay: float) -> bool:
-        """Every filter integrates the epoch with its own biases; whether the vehicle stands."""
-        standing, stands = None, False
-        for filter_ in self._filters():
-            epoch = self._integrate(filter_, paired, delay)
-            if standing is None:
-                standing = self._detector.judge(epoch)
-                stands = filter_.process(epoch, standing)
-                self._detector.note(epoch, stands)
-            else:
-                filter_.process(epoch, standing)
+    def _process(self, paired: Paired, delay: float) -> tuple[bool, AidedEpoch]:
+        """Every filter integrates the epoch with its own biases.
+
+        Returns whether the vehicle stands, and the epoch as it was measured: biases that a wrong
+        odometer has taught are not taken off.
+        """
+        first, *others = self._filters()
+        bias = first.bias(paired.block.w_ib_b)
+        epoch = self._integrate(first, paired, delay, bias)
+        standing = self._detector.judge(epoch)
+        stands = first.process(epoch, standing)
+        self._detector.note(epoch, stands)
+        for other in others:
+            own = other.bias(paired.block.w_ib_b)
+            other.process(self._integrate(other, paired, delay, own), standing)
         if self._wander is not None:
             self._foresight.add(self._wander)
         self._doubts.follow(self._wander)
-        return stands
+        return stands, as_measured(epoch, bias)
 
-    def _integrate(self, filter_: AidedFilter, paired: Paired, delay: float) -> AidedEpoch:
+    def _integrate(
+        self, filter_: AidedFilter, paired: Paired, delay: float, bias: Array
+    ) -> AidedEpoch:
         filter_.odometer.quantum = self._pairing.quantum
-        epoch = integrate_epoch(paired, self._config.sampling, filter_.bias(paired.block.w_ib_b))
+        epoch = integrate_epoch(paired, self._config.sampling, bias)
         own = float(filter_.odometer.x[LATENCY])
         if epoch.travel is None or own == delay:
             return epoch

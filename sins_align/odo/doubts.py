@@ -6,10 +6,9 @@ import math
 
 from sins_align.config import OdoConfig
 from sins_align.limits import DOUBTED_LATITUDE_RATIO, MAX_LATITUDE_RATIO
-from sins_align.odo.epoch import integrate_epoch
+from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.imu_model import imu_noise
 from sins_align.odo.loudness import Loudness
-from sins_align.odo.pairing import Paired
 from sins_align.odo.plausibility import OdometerPlausibility
 from sins_align.odo.standing_latitude import StandingLatitude, combine_latitudes
 from sins_align.odo.wander import WanderFilter
@@ -28,7 +27,7 @@ class Doubts:
     """
 
     def __init__(self, config: OdoConfig, latitude: float) -> None:
-        self._sampling, self._latitude = config.sampling, latitude
+        self._latitude = latitude
         self._noise = imu_noise(config.grade)
         forward_b = dcm_from_rpy(*config.odometer.mounting_rpy.tolist())[:, 0]
         self._plausibility = None if config.stationary else OdometerPlausibility(forward_b)
@@ -45,10 +44,8 @@ class Doubts:
         else:
             self._loudness.follow()
 
-    def add(self, paired: Paired, standing: bool) -> bool:
-        """Take in an epoch; whether an odometer that was wrong has become right."""
-        # As the IMU gives it: biases that a wrong odometer has taught are not taken off.
-        epoch = integrate_epoch(paired, self._sampling)
+    def add(self, epoch: AidedEpoch, standing: bool) -> bool:
+        """Take in an epoch as measured; whether an odometer that was wrong has become right."""
         self._standing.add(epoch, standing)
         if self._plausibility is None:
             return False

@@ -113,6 +113,22 @@ def integrate_epoch(paired: Paired, sampling: ImuSampling, bias: Array | None = 
     return _mend_edge(epoch, paired.before, block)
 
 
+def as_measured(epoch: AidedEpoch, bias: Array) -> AidedEpoch:
+    """Velocity and rotation of an epoch from whose samples `bias` (6,) was taken off, with it.
+
+    To first order: C turns by theta = int C b_g dt more, which grows with time, and so
+
+        u = int C f dt + B b_a + theta x (int C f t dt) / T,    int C f t dt = T u - s
+
+    The other integrals stay as they are.
+    """
+    theta = epoch.B @ bias[:3]
+    turned = np.cross(theta, epoch.u - epoch.s / epoch.duration_s)
+    return epoch._replace(
+        C_end=exp_rotation(theta) @ epoch.C_end, u=epoch.u + epoch.B @ bias[3:] + turned
+    )
+
+
 def _mend_edge(epoch: AidedEpoch, before: ImuBlock, block: ImuBlock) -> AidedEpoch:
     """Make up for the edge between two epochs of point values, with the samples of both.
 
