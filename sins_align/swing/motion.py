@@ -50,6 +50,8 @@ STILL_SPEED, SPEED_DRIFT = 0.3, 0.005
 # what was known of gravity may have been wrong. (Or it goes straight on at one speed: that no IMU
 # can tell.)
 QUIET = 60
+# Looked at every so many blocks while it is at rest.
+LOOK = 2
 
 
 class Node(NamedTuple):
@@ -94,6 +96,7 @@ class MotionWatch:
     def __init__(self, sampling: ImuSampling) -> None:
         self._sampling = sampling
         self._nodes: deque[Node] = deque(maxlen=REFERENCE + RECENT + 1)
+        self._count = 0
         self._w_ie_b0, self._r_b = np.zeros(3), np.zeros(3)
         self._rest: Curve | None = None  # before the motion
         self._velocity, self._place = np.zeros(3), np.zeros(3)
@@ -103,6 +106,7 @@ class MotionWatch:
 
     def update(self, block: ImuBlock) -> None:
         """Take in a block."""
+        self._count += 1
         windows = integrate_windows(block, self._sampling, 1)
         time_s, C = float(windows.duration_s[0]), np.eye(3)
         if self._nodes:
@@ -126,7 +130,7 @@ class MotionWatch:
 
     def has_left(self) -> bool:
         """Whether the centre has left its place now."""
-        if len(self._nodes) <= LEAST_REFERENCE + RECENT:
+        if len(self._nodes) <= LEAST_REFERENCE + RECENT or self._count % LOOK:
             return False
         count = (REFERENCE if self.knows_axes else BLIND_REFERENCE) + RECENT
         if not self.knows_axes:
@@ -212,13 +216,13 @@ class MotionWatch:
         first, *nodes = list(self._nodes)[-count - 1 :]
         time_s = np.array([first.time_s, *(node.time_s for node in nodes)])
         T, middle = np.diff(time_s), 0.5 * (time_s[1:] + time_s[:-1])
-        arms = np.array([node.C @ self._r_b for node in nodes])
         u, s = np.array([node.u for node in nodes]), np.array([node.s for node in nodes])
+        arms = np.array([node.C for node in nodes]) @ self._r_b
         if self.knows_axes:
-            back = rotations_about(-self._w_ie_b0, middle)
-            u, s = np.einsum("kij,kj->ki", back, u), np.einsum("kij,kj->ki", back, s)
-            back = rotations_about(-self._w_ie_b0, time_s[1:])
-            arms = np.einsum("kij,kj->ki", back, arms)
+            times = np.concatenate((middle, middle, time_s[1:]))
+            back = rotations_about(-self._w_ie_b0, times)
+            vectors = np.concatenate((u, s, arms))[:, :, None]
+            u, s, arms = (back @ vectors)[:, :, 0].reshape(3, -1, 3)
         after = velocity + np.cumsum(u, axis=0)
         places = place + np.cumsum((after - u) * T[:, None] + s, axis=0)
         return Track(time_s[1:], places - arms, after[-1], places[-1])
