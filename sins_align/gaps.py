@@ -15,6 +15,15 @@ _TOLD = 0.01
 # Bursts of stamps on arrival make a median step that says nothing: no more than 20 kHz.
 _LEAST_STEP_NS = 50_000.0
 
+# Steps as even as this are those of a clock.
+_EVEN = 0.01
+
+
+def is_even(stamp_ns: IntArray) -> bool:
+    """Whether the steps of the stamps (n+1,) [ns] are alike to a hundredth, as those of a clock."""
+    steps = stamp_ns[1:] - stamp_ns[:-1]
+    return float(steps.max() - steps.min()) <= _EVEN * float(steps.min())
+
 
 def has_gap(stamp_ns: IntArray) -> bool:
     """Whether a step of the stamps (n+1,) [ns] is one and a half times the shortest or longer."""

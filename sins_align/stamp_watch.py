@@ -18,11 +18,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sins_align.gaps import is_even
 from sins_align.reasons import STAMP_JITTER, Finding
 from sins_align.types import Array, ImuBlock
 
-# Steps as even as this are those of a clock.
-EVEN = 0.01
 # Jitter counts when its random walk is so many times that of the gyros, and
 MOST_WALK = 1.0
 # when what the stamps leave of the second difference is so many times what numbers leave; or when
@@ -47,7 +46,7 @@ class StampWatch:
         """Take in a block."""
         steps = np.diff(block.stamp_ns) * 1e-9
         jitter = walk = by_number = by_stamp = 0.0
-        if steps.shape[0] > 3 and np.ptp(steps) > EVEN * steps.min():
+        if steps.shape[0] > 3 and not is_even(block.stamp_ns):
             usual = float(np.median(steps))
             w, inner = block.w_ib_b, np.abs(steps / usual - 1.0) < 0.9  # a lost sample is no jitter
             jitter = 0.5 * float(np.mean((steps[inner] - usual) ** 2)) if inner.any() else 0.0

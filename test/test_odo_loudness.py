@@ -229,7 +229,7 @@ def test_a_filter_that_begins_anew_begins_another_test() -> None:
     run = vehicle("ring", 300.0)
     session = session_until(60.0, run)
     aligner, before = aligner_of(session), loudness_of(session)
-    before._doubt.note(2.0 * DOUBTED)
+    before.note(2.0 * DOUBTED)
     assert [f.reason.key for f in aligner._doubts_now()] == ["gyro_noisy"]
     aligner._begin()
     assert not aligner._doubts_now()

@@ -10,13 +10,10 @@ import numpy as np
 if TYPE_CHECKING:
     from sins_align.odo.pairing import Paired
 
-from sins_align.gaps import has_gap
+from sins_align.gaps import has_gap, is_even
 from sins_align.increments import integrate_window
 from sins_align.rotation import exp_rotation, multiply_quaternions, quaternion_from_rotation_vector
 from sins_align.types import Array, ImuBlock, ImuSampling, IntArray
-
-# Steps as even as this are those of a clock.
-EVEN = 0.01
 
 
 class Travel(NamedTuple):
@@ -114,9 +111,11 @@ def integrate_epoch(paired: Paired, sampling: ImuSampling, bias: Array | None = 
 
 
 def as_measured(epoch: AidedEpoch, bias: Array) -> AidedEpoch:
-    """Velocity and rotation of an epoch from whose samples `bias` (6,) was taken off, with it.
+    """Velocity and rotation of an epoch with the biases that were taken off its samples put back.
 
-    To first order: C turns by theta = int C b_g dt more, which grows with time, and so
+    bias : (6,) of rate and specific force, in b [rad/s], [m/s^2]
+
+    To first order C turns by theta = int C b_g dt more, which grows with time, and so
 
         u = int C f dt + B b_a + theta x (int C f t dt) / T,    int C f t dt = T u - s
 
@@ -137,8 +136,8 @@ def _mend_edge(epoch: AidedEpoch, before: ImuBlock, block: ImuBlock) -> AidedEpo
     h/24 d^4 w for either interval, d^4 a fourth difference. With an edge every second, a vibration
     of whole hertz would be a constant rate.
     """
-    steps = np.diff(np.concatenate((before.stamp_ns, block.stamp_ns[:5])))
-    if steps.shape[0] < 7 or np.ptp(steps) > EVEN * steps.min():
+    stamps = np.concatenate((before.stamp_ns, block.stamp_ns[:5]))
+    if stamps.shape[0] < 8 or not is_even(stamps):
         return epoch
     values = [
         np.concatenate((x[:, :3], y[:, :4]), axis=1)

@@ -30,10 +30,9 @@ from sins_align.odo.guards import SOFT_LIMIT
 from sins_align.odo.layout import ALPHA, AZIMUTH, SIZE
 from sins_align.odo.layout import ODOMETER_SCALE as SCALE
 from sins_align.odo.wander import HandOver, WanderFilter
-from sins_align.reasons import Finding
 
 
-class Loudness:
+class Loudness(NoiseDoubt):
     """The second filter, and what the two say.
 
     filter : the first one; P : (n, n) covariance of its errors by the second
@@ -45,28 +44,18 @@ class Loudness:
     """
 
     def __init__(self, filter_: WanderFilter, noise: ImuNoise) -> None:
+        super().__init__()
         self.filter = filter_
         more = noise.gyro * (FACTOR * FACTOR - 1.0) ** 0.5
         self._more = ErrorModel(ImuNoise(more, 0.0, 0.0), SIZE)
-        self._doubt = NoiseDoubt()
         self.P, self.mean = filter_.P.copy(), np.zeros(SIZE)
-
-    @property
-    def log_ratio(self) -> float:
-        """Of the likelihoods, louder over declared."""
-        return self._doubt.log_ratio
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What there is to doubt."""
-        return self._doubt.findings
 
     def follow(self) -> None:
         """After an epoch of the first filter."""
         step = self.filter.step
         assert step is not None
         added = self._take_in(step)
-        self._doubt.note(self._doubt.log_ratio + added)
+        self.note(self.log_ratio + added)
         self.P *= self.filter.scaled
         if self.filter.hand_over is not None:
             self._hand_over(self.filter.hand_over)

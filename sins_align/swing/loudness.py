@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 from sins_align.noise_doubt import FACTOR, NoiseDoubt
-from sins_align.reasons import Finding
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.latitude import latitude_column
 from sins_align.swing.position_noise import PositionNoise
@@ -19,14 +18,14 @@ from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, 
 from sins_align.swing.two_stage_filter import TwoStageFilter
 
 
-class Loudness:
+class Loudness(NoiseDoubt):
     """The second filter, and what the two say."""
 
     def __init__(self, noise: NoiseModel) -> None:
+        super().__init__()
         self._noise = replace(noise, gyro=FACTOR * noise.gyro)
         self._filter = TwoStageFilter(self._noise)
         self._about: Linearisation | None = None
-        self._doubt = NoiseDoubt()
 
     def update(
         self, declared: TwoStageFilter, epochs: Epochs, about: Linearisation, gravity: GravityModel
@@ -48,14 +47,4 @@ class Loudness:
         """
         column = latitude_column(solution, latitude)
         mine = solver.log_likelihood(self._filter, solution, column)
-        self._doubt.note(mine - solver.log_likelihood(declared, solution, column))
-
-    @property
-    def log_ratio(self) -> float:
-        """Of the likelihoods, louder over declared."""
-        return self._doubt.log_ratio
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What there is to doubt."""
-        return self._doubt.findings
+        self.note(mine - solver.log_likelihood(declared, solution, column))
