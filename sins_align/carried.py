@@ -26,9 +26,9 @@ from sins_align.earth import (
     transport_rate_n,
 )
 from sins_align.grades import ImuGrade
-from sins_align.increments import integrate_window
 from sins_align.rotation import cross3, exp_rotation, log_rotation, skew3
 from sins_align.types import Array, ImuBlock, ImuSampling, Position
+from sins_align.windows import integrate_window
 
 
 @dataclass(frozen=True)

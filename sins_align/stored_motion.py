@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.increments import integrate_windows
 from sins_align.rotation import exp_rotation, log_rotation
 from sins_align.types import Array, ImuBlock, ImuSampling
+from sins_align.windows import integrate_windows
 
 WINDOWS = 10  # a block of about a second: sway of up to 5 Hz is seen
 # Sway is taken to be as slow as this; of a faster one less is left in a slope and a mean.

@@ -10,7 +10,6 @@ from scipy.stats import chi2
 
 from sins_align.earth import EARTH_RATE, normal_gravity
 from sins_align.grades import ImuGrade
-from sins_align.increments import integrate_windows
 from sins_align.simulate import SwingOptions, SwingRun, simulate_swing
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverDirections, LeverExcitation
@@ -18,6 +17,7 @@ from sins_align.swing.solution import KAPPA, Prior, Solution, Solver, make_prior
 from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import ImuBlock, ImuSampling
+from sins_align.windows import integrate_windows
 
 LATITUDE_DEG, ALTITUDE_M = 40.0, 50.0
 EPOCH_S = 0.5

@@ -12,13 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sins_align.gaps import fill_gaps
-from sins_align.increments import (
-    Windows,
-    integrate_rotation,
-    integrate_windows,
-    join_blocks,
-    uniform_step,
-)
+from sins_align.increments import integrate_rotation, join_blocks, uniform_step
 from sins_align.rotation import (
     cumulative_rotation,
     dcm_from_quaternion,
@@ -26,6 +20,7 @@ from sins_align.rotation import (
 )
 from sins_align.types import Array, ImuBlock, ImuSampling, IntArray
 from sins_align.units import ARCSEC
+from sins_align.windows import Windows, integrate_windows
 
 MEAN, INSTANTANEOUS = ImuSampling.MEAN, ImuSampling.INSTANTANEOUS
 BOTH = pytest.mark.parametrize("sampling", [MEAN, INSTANTANEOUS])

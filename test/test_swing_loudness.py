@@ -10,7 +10,6 @@ from scipy.stats import binom
 from swing_filtered import LATITUDE_DEG, OPTIONS, Filtered, filter_run
 
 from sins_align.config import swing_config
-from sins_align.increments import integrate_windows
 from sins_align.noise_doubt import DOUBTED, FACTOR
 from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
@@ -21,6 +20,7 @@ from sins_align.swing.two_stage import DATA, NoiseModel, build_steps
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, ImuBlock, ImuSampling
 from sins_align.units import DEG
+from sins_align.windows import integrate_windows
 
 LOUD = replace(OPTIONS, scenario="pitch", duration_s=300.0)
 

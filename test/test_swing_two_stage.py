@@ -7,7 +7,6 @@ import pytest
 from scipy.linalg import expm
 
 from sins_align.earth import EARTH_RATE, normal_gravity
-from sins_align.increments import integrate_windows
 from sins_align.rotation import exp_rotation, skew
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.swing.epochs import Epochs
@@ -29,6 +28,7 @@ from sins_align.swing.two_stage import (
 )
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, ImuBlock, ImuSampling
+from sins_align.windows import integrate_windows
 
 LATITUDE = np.radians(40.0)
 GRAVITY = GravityModel(normal_gravity(LATITUDE, 50.0), LATITUDE, EARTH_RATE)

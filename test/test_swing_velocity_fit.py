@@ -19,7 +19,6 @@ from swing_filtered import (
 )
 
 from evidence.monte_carlo import misalignment
-from sins_align.increments import integrate_windows
 from sins_align.limits import heading_limit
 from sins_align.rotation import exp_rotation
 from sins_align.simulate import SwingOptions
@@ -29,6 +28,7 @@ from sins_align.swing.solution import Solution
 from sins_align.swing.velocity_fit import VelocityFit
 from sins_align.types import ImuBlock, ImuSampling, Witness
 from sins_align.units import DEG
+from sins_align.windows import integrate_windows
 
 SEEDS = 16
 SCENARIOS = pytest.mark.parametrize("scenario", ["still", "level", "pitch", "erect"])

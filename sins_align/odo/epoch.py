@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from sins_align.odo.pairing import Paired
 
 from sins_align.gaps import has_gap, is_even
-from sins_align.increments import integrate_window
 from sins_align.rotation import exp_rotation, multiply_quaternions, quaternion_from_rotation_vector
 from sins_align.types import Array, ImuBlock, ImuSampling, IntArray
+from sins_align.windows import integrate_window
 
 
 class Travel(NamedTuple):

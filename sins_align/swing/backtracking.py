@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from sins_align.config import SwingConfig
-from sins_align.increments import Windows
 from sins_align.rotation import level_axes, log_rotation
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverExcitation
@@ -26,6 +25,7 @@ from sins_align.swing.solution import (
 )
 from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
 from sins_align.swing.two_stage_filter import TwoStageFilter
+from sins_align.windows import Windows
 
 # The noise model needs no new linearisation where the attitude has moved by less, and the
 # lever arm too.

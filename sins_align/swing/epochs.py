@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from sins_align.increments import Windows
 from sins_align.rotation import dcm_from_quaternion, multiply_quaternions, rotations_about
 from sins_align.types import Array
+from sins_align.windows import Windows
 
 # What of the motion so far stands for what is to come.
 WINDOW_S = 60.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from sins_align.config import SwingConfig
 from sins_align.earth import EARTH_RATE, earth_rate_n, normal_gravity
-from sins_align.increments import integrate_rotation, integrate_windows, join_blocks
+from sins_align.increments import integrate_rotation, join_blocks
 from sins_align.reasons import CENTRE_MOVES, HEADING_COARSE, LEVELLING, SWING_WEAK, Finding
 from sins_align.rotation import dcm_from_quaternion, multiply_quaternions
 from sins_align.swing.backtracking import COARSE_SIGMA, Backtracking
@@ -29,6 +29,7 @@ from sins_align.swing.loudness import Loudness
 from sins_align.swing.outcome import C_nb0_at, Outcome, heading_variance
 from sins_align.swing.two_stage import GravityModel
 from sins_align.types import Advance, Array, Estimate, ImuBlock, Position
+from sins_align.windows import integrate_windows
 
 EPOCH_S = 0.5
 # Times at which the stored increments are run over again [s]; then every three times later.

@@ -21,9 +21,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
-from sins_align.increments import integrate_windows
 from sins_align.rotation import dcm_from_quaternion, rotations_about
 from sins_align.types import Array, Estimate, ImuBlock, ImuSampling
+from sins_align.windows import integrate_windows
 
 # Blocks of a second: so many tell the curve at the most and the least, and so many of them are
 # held against it.
