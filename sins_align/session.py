@@ -9,7 +9,6 @@ were handed over.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import NamedTuple
@@ -18,6 +17,7 @@ import numpy as np
 
 from sins_align.aligners import make_aligners, make_completer
 from sins_align.config import Completion, OdoConfig, SwingConfig
+from sins_align.data_watch import DataWatch
 from sins_align.intake import Intake
 from sins_align.odo.odometer_intake import OdometerIntake
 from sins_align.reasons import (
@@ -31,8 +31,7 @@ from sins_align.reasons import (
     VEHICLE_MOVES,
     Finding,
 )
-from sins_align.soundness import check_arrays, check_odometer_arrays, find_fault, is_sound
-from sins_align.stamp_watch import StampWatch
+from sins_align.soundness import check_arrays, check_odometer_arrays, is_sound
 from sins_align.types import (
     Advance,
     AidedAligner,
@@ -46,7 +45,6 @@ from sins_align.types import (
     State,
     Status,
 )
-from sins_align.units_watch import UnitsWatch
 
 # How far back an odometer's samples are of use to an alignment that begins [ns].
 KEPT_NS = 5_000_000_000
@@ -86,11 +84,7 @@ class Session:
         self._make_aligner(at_ns)
         self._intake = Intake(self._counts)
         self._completer = make_completer(self._config, self._position)
-        is_driving = isinstance(self._config, OdoConfig) and not self._config.stationary
-        self._units = UnitsWatch(self._config.sampling, is_driving)
-        self._stamps = StampWatch(self._config.grade.gyro_arw)
-        # What these say after a block, by its end; of those that the aligner is not through with.
-        self._watched: deque[tuple[int, tuple[Finding, ...]]] = deque()
+        self._watch = DataWatch(self._config)
         self._begin_reason, self._moves = reason, False
         self._begun_s = 0.0  # when, of the time since the first sample
         self._counted = (self._counts.imu_samples, self._counts.imu_rejected)
@@ -258,13 +252,7 @@ class Session:
         """What the block led to; nothing while it only waits for what comes later."""
         aligner = self._aligner
         assert aligner is not None
-        fault = find_fault(block)
-        if fault is None:
-            self._units.update(block)
-            self._stamps.update(block)
-            said = tuple(f for f in (self._units.hint, self._stamps.finding) if f is not None)
-            self._watched.append((int(block.stamp_ns[-1]), said))
-            fault = self._units.fault
+        fault = self._watch.update(block)
         if fault is not None:
             return self._fail(int(block.stamp_ns[-1]), fault)
         return self._step(lambda: aligner.update(block))
@@ -284,12 +272,10 @@ class Session:
                 return [*updates, *self._fail(step.stamp_ns, broke)]
             elapsed = self._intake.elapsed_s(step.stamp_ns)
             self._note_motion(step, elapsed)
-            while self._watched[0][0] < step.stamp_ns:
-                self._watched.popleft()
-            more = self._watched[0][1]
             if step.estimate is not None:
                 self._forgotten = ()
-            step = step._replace(findings=(*step.findings, *more, *self._forgotten))
+            more = (*self._watch.findings(step.stamp_ns), *self._forgotten)
+            step = step._replace(findings=(*step.findings, *more))
             self._status = self._completer.update(step, elapsed, self._begin_reason, self._begun_s)
             updates.append(Update(step.stamp_ns, step.estimate, self._status))
         return updates
