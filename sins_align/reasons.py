@@ -2,8 +2,9 @@
 
 A `Reason` is a row; called with its figures it becomes a `Finding`, which is what aligners and
 session hand on. `kind` says what it does: WAIT, the alignment cannot begin; FAULT, nothing can
-be made of the data; DOUBT, the estimate is not believed, and aligned is not claimed; PROGRESS,
-it is on its way; HINT, said while a sigma is above its threshold; NOTE, said, and nothing else.
+be made of the data; LIMIT, a threshold is out of reach as things are; DOUBT, the estimate is not
+believed; PROGRESS, it is on its way; HINT, said while a sigma is above its threshold; NOTE, said,
+and nothing else.
 """
 
 from __future__ import annotations
@@ -18,10 +19,16 @@ class Kind(enum.Enum):
 
     WAIT = "waiting"
     FAULT = "failed"
-    DOUBT = "not aligned"
+    LIMIT = "out of reach"
+    DOUBT = "not believed"
     PROGRESS = "on its way"
     HINT = "why it takes so long"
     NOTE = "said only"
+
+    @property
+    def forbids_claim(self) -> bool:
+        """Whether aligned is not claimed while a reason of this kind stands."""
+        return self in (Kind.LIMIT, Kind.DOUBT)
 
 
 @dataclass(frozen=True)
@@ -196,14 +203,14 @@ AXES_DIFFER = Reason(
 )
 AT_POLE = Reason(
     "at_pole",
-    Kind.DOUBT,
+    Kind.LIMIT,
     "there is no heading at the pole",
     "check latitude_deg or the fix",
     "The Earth's rate has no horizontal part. Said as long as the position is such.",
 )
 UNOBSERVABLE_HERE = Reason(
     "unobservable_here",
-    Kind.DOUBT,
+    Kind.LIMIT,
     "heading is unobservable so near to a pole: the declared gyro bias allows {limit_deg:.1f} deg",
     "check latitude_deg or the fix; if they are right, take heading from elsewhere, as from two"
     " GNSS antennas",
@@ -228,7 +235,7 @@ HEADING_COARSE = Reason(
 )
 HEADING_UNOBSERVABLE = Reason(
     "heading_unobservable",
-    Kind.DOUBT,
+    Kind.LIMIT,
     "heading cannot be told by a gyro of this bias on a vehicle that does not turn: the limit is"
     " {limit} at this latitude",
     "{motion}",
@@ -240,7 +247,7 @@ HEADING_SIGMA = Reason(
     Kind.PROGRESS,
     "heading sigma {sigma:.2f}' not below {threshold:g}'",
     "",
-    "Ends with time; eta_s says when.",
+    "Ends with time; eta_s says when, unless a doubt stands.",
 )
 LEVEL_SIGMA = Reason(
     "level_sigma",
@@ -258,7 +265,7 @@ HOLDING = Reason(
 )
 HEADING_LIMIT = Reason(
     "heading_limit",
-    Kind.DOUBT,
+    Kind.LIMIT,
     "{threshold:g}' cannot be reached with a gyro bias of {bias_deg_h:g} deg/h at this latitude:"
     " the limit is {limit:.1f}'",
     "raise heading_threshold_arcmin, {motion}, or use a better gyro",
@@ -267,7 +274,7 @@ HEADING_LIMIT = Reason(
 )
 LEVEL_LIMIT = Reason(
     "level_limit",
-    Kind.DOUBT,
+    Kind.LIMIT,
     '{threshold:g}" cannot be reached: the declared accelerometer bias allows {limit:.1f}" on a'
     " base that does not tilt",
     "raise level_threshold_arcsec, or use better accelerometers",

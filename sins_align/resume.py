@@ -39,7 +39,6 @@ from sins_align.reasons import (
     STORED_DROPPED,
     VEHICLE_MOVES,
     Finding,
-    Kind,
 )
 from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
 from sins_align.status import MAX_CONSISTENCY
@@ -244,7 +243,7 @@ class ResumingAligner:
 
         The consistency is NaN until the first innovation, which comes within seconds.
         """
-        if any(f.reason.kind is Kind.DOUBT for f in self._findings):
+        if any(f.reason.kind.forbids_claim for f in self._findings):
             return True
         return not new.consistency <= MAX_CONSISTENCY
 

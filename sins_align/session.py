@@ -30,6 +30,7 @@ from sins_align.reasons import (
     STORED_DROPPED,
     VEHICLE_MOVES,
     Finding,
+    Kind,
 )
 from sins_align.soundness import check_arrays, check_odometer_arrays, is_sound
 from sins_align.types import (
@@ -317,13 +318,15 @@ class Session:
         """Predicted time until aligned, as far as heading goes [s]; inf: not within an hour.
 
         That is until sigma of heading is below its threshold, if the motion goes on as it was,
-        and hold_s after that. 0 when aligned, NaN where it cannot be said. A pure function of
-        the samples so far; some milliseconds of work.
+        and hold_s after that. 0 when aligned, NaN where it cannot be said: nobody knows when a
+        doubt will go. A pure function of the samples so far; some milliseconds of work.
         """
         status = self.status
         if status.state is State.ALIGNED:
             return 0.0
         if self._aligner is None or status.state is State.FAILED or self._status is None:
+            return math.nan
+        if any(finding.reason.kind is Kind.DOUBT for finding in status.findings):
             return math.nan
         try:
             ahead = self._aligner.foresee(self._config.completion.heading_threshold)

@@ -158,7 +158,9 @@ class Completer:
             return Status(self._state, findings, elapsed_s, None, limit)
         missing = self._missing(estimate)
         said = [f for f in step.findings if self._is_asked(f, True)]
-        doubts = [f for f in said if f.reason.kind is Kind.DOUBT or f.reason is LATITUDE_UNPROVEN]
+        doubts = [
+            f for f in said if f.reason.kind.forbids_claim or f.reason is LATITUDE_UNPROVEN
+        ]  # fmt: skip
         notes = [f for f in said if f not in doubts]
         doubts += self._doubts(estimate)
         if not missing:

@@ -45,7 +45,7 @@ def test_keys_are_unique_words() -> None:
 @pytest.mark.parametrize("reason", REASONS, ids=lambda r: r.key)
 def test_what_stops_an_alignment_has_a_remedy(reason: Reason) -> None:
     assert reason.says and reason.ends and reason.nodes in ("both", "swing", "odo")
-    if reason.kind in (Kind.FAULT, Kind.DOUBT, Kind.HINT):
+    if reason.kind in (Kind.FAULT, Kind.LIMIT, Kind.DOUBT, Kind.HINT):
         assert reason.remedy
 
 

@@ -117,6 +117,14 @@ def test_no_time_to_go_where_it_cannot_be_said() -> None:
     assert never.eta_s == math.inf
 
 
+def test_no_time_to_go_while_a_doubt_stands() -> None:
+    """Sigma would be small enough soon; when what contradicts it goes nobody knows."""
+    right, _ = run(laser(), laser_config(heading_threshold_arcmin=1.5))
+    assert "heading_sigma" in right.status.keys and 0.0 < right.eta_s < 600.0
+    wrong, _ = run(laser(), laser_config(heading_threshold_arcmin=1.5, latitude_deg=41.0))
+    assert "latitude_doubted" in wrong.status.keys and math.isnan(wrong.eta_s)
+
+
 def test_a_forecast_that_breaks_down_breaks_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     def break_down(*_: object) -> float:
         raise np.linalg.LinAlgError

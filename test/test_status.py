@@ -133,6 +133,7 @@ def test_no_estimate_yet() -> None:
         ({Kind.FAULT, Kind.WAIT}, State.FAILED),
         ({Kind.WAIT, Kind.DOUBT, Kind.PROGRESS, Kind.HINT, Kind.NOTE}, State.WAITING),
         ({Kind.DOUBT}, State.COARSE),
+        ({Kind.LIMIT}, State.COARSE),
         ({Kind.PROGRESS}, State.COARSE),
         ({Kind.HINT, Kind.NOTE}, State.COARSE),
     ],
