@@ -28,7 +28,7 @@ from sins_align.windows import integrate_windows
 # Blocks of a second: so many tell the curve at the most and the least, and so many of them are
 # held against it.
 REFERENCE, LEAST_REFERENCE, RECENT = 30, 12, 5
-# Before the Earth's axis is known so many are.
+# The most that tell it before the Earth's axis is known.
 BLIND_REFERENCE = 20
 # The centre has left when it is so far from the curve [m], or so many times what the reference
 # itself scatters about it; and with the axes unknown.
