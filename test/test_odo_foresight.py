@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import pickle
+from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
 
@@ -180,6 +181,33 @@ def test_what_is_foretold_comes_true(scenario: str, threshold: float) -> None:
     left_s = aligned_at(scenario, threshold) - 60.0
     assert left_s > 10.0
     assert session.eta_s == pytest.approx(left_s, rel=0.3)
+
+
+def told_and_true(run: VehicleRun, threshold: float) -> tuple[float, float | None]:
+    """Time to go as said at 60 s, and as it came within 300 s."""
+    settings = {
+        "heading_threshold_arcmin": threshold, "level_threshold_arcsec": 600.0, "hold_s": 0.0,
+    }  # fmt: skip
+    early, whole = (session_until(run, time_s, **settings) for time_s in (60.0, 300.0))
+    at_s = whole.status.aligned_at_s
+    return early.eta_s, None if at_s is None else at_s - 60.0
+
+
+def test_samples_go_on_to_be_lost() -> None:
+    """1 % of them cost a laser gyro on the road heading, again and again."""
+    run = vehicle("ring", 300.0, grade="rlg", lost_fraction=0.01)
+    told_s, true_s = told_and_true(run, 22.0)
+    assert true_s is not None and told_s == pytest.approx(true_s, rel=0.3)
+    told_s, true_s = told_and_true(run, 5.0)
+    assert true_s is None and told_s > 900.0
+
+
+def test_a_gap_that_came_once_is_not_foreseen_again() -> None:
+    run = vehicle("ring", 300.0, grade="rlg")
+    time_s = (run.imu.stamp_ns - run.options.start_stamp_ns) * 1e-9
+    cut = run.imu.select((time_s < 40.0) | (time_s > 40.3))
+    told_s, true_s = told_and_true(replace(run, imu=cut), 6.0)
+    assert true_s is not None and told_s == pytest.approx(true_s, rel=0.3)
 
 
 def test_each_epoch_keeps_its_own_transition() -> None:

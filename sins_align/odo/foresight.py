@@ -12,7 +12,8 @@ product, with M = (I + W_1 G_2)^-1,
     F = F_2 M F_1      W = W_2 + F_2 M W_1 F_2'      G = G_1 + F_1' G_2 M F_1
 
 Those of late are put together to one, that one doubled to an hour, and the time is found by
-halving. Nothing of the filter is touched.
+halving. Samples lost now and then go on to be lost; a gap that came once does not come again.
+Nothing of the filter is touched.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sins_align.odo.filter import Step
+from sins_align.odo.filter import GAP_INDEX, Step
 from sins_align.odo.layout import AZIMUTH, PHI, SIZE, VELOCITY
 from sins_align.odo.wander import WanderFilter
 from sins_align.types import Array
@@ -33,6 +34,9 @@ from sins_align.types import Array
 # What is taken to go on, and the least that tells [s]. With more, a vehicle that has set out would
 # do so again and again; with less, turns that come now and then are missed.
 MOTION_S, LEAST_MOTION_S = 40.0, 10.0
+# From so many epochs with samples missing on there will be more of them: as many, and as those in
+# the middle. One long gap may stand for all the others together, and tells nothing.
+OFTEN = 3
 # Farther nothing is foreseen [s].
 HORIZON_S = 3600.0
 
@@ -88,6 +92,10 @@ class Foresight:
             return math.nan
         azimuth = filter_.azimuth()
         stretches = [_stretch(step, axes) for step, axes, _ in self._steps]
+        gaps = [step.gap for step, _, _ in self._steps if step.gap is not None]
+        if len(gaps) >= OFTEN:
+            lost = len(gaps) / self._kept_s * np.median(gaps, axis=0)
+            stretches = [_after_loss(stretch, lost) for stretch in stretches]
         turn = _turn(self._steps[0][2], filter_.navigation.C_ab)
         T = _UNIT.copy()
         T[AZIMUTH, AZIMUTH] = _axes(azimuth.e_h)
@@ -152,6 +160,13 @@ def _search(
         if is_reached(P, count * turn):
             return time_s if time_s < HORIZON_S else math.inf
     return math.inf
+
+
+def _after_loss(stretch: Stretch, variance: Array) -> Stretch:
+    """With what missing samples add at its start; variance : (6,) of `GAP_INDEX`, per second."""
+    unknown = np.zeros_like(_UNIT)
+    unknown[GAP_INDEX, GAP_INDEX] = variance * stretch.duration_s
+    return Stretch(_UNIT, unknown, np.zeros_like(_UNIT), 0.0).then(stretch)
 
 
 def _stretch(step: Step, axes: Array | None) -> Stretch:
