@@ -117,10 +117,11 @@ def run_module(module: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 @contextmanager
 def running(module: str, *words: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A process whose output goes to `log`; ended at the end if it still runs.
+    """A process whose output goes to `log`; ended by a signal if it still runs.
 
-    Not killed, unless it has to be: in the shared memory of DDS that would leave its part behind
-    for good, and what others read in the middle of a change.
+    Killed only where that does not help. Who is killed while it writes into the shared memory of
+    DDS leaves a lock taken there: this process then waits for it when the observer closes, and
+    crashes when DDS makes that piece of memory anew meanwhile.
     """
     with log.open("wb") as file:
         process = subprocess.Popen(
@@ -129,12 +130,13 @@ def running(module: str, *words: str, log: Path) -> Iterator[subprocess.Popen[by
         )  # fmt: skip
         try:
             yield process
-            if process.poll() is None:
-                stop(process, signal.SIGTERM)
         finally:
-            if process.poll() is None:
+            try:
+                if process.poll() is None:
+                    stop(process, signal.SIGTERM)
+            finally:
                 process.kill()
-            process.wait()
+                process.wait()
 
 
 def diagnostic_values(message: Any) -> dict[str, str]:
