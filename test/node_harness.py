@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,18 +17,26 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix
-from std_msgs.msg import Bool
 
 from sins_align.ros.bags_topics import odometer_type
 from sins_align.ros.cdr import encode_imu
+from sins_align.ros.introduction import Introduction
 from sins_align.ros.messages import fix_message
 from sins_align.ros.odometer import OdometerRow, odometer_rows
 from sins_align.ros.portable_messages import odometer_message, ros_types
+from sins_align.simulate import (
+    SwingOptions,
+    VehicleOptions,
+    VehicleRun,
+    simulate_swing,
+    simulate_vehicle,
+)
 from sins_align.types import ImuSamples, OdometerSamples, Position
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,8 +44,10 @@ SWING = "swing_align_ros"
 ODO = "odo_align_ros"
 SYNTH = "sins_align.ros.synth_node"
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-RELIABLE = QoSProfile(depth=1000)
+# For subscriptions. What comes while this process is kept waiting has to find room: a node whose
+# data are played runs far ahead of them.
+LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+RELIABLE = QoSProfile(depth=10_000)
 TEXTS = {"state", "reason", "reason_keys", "remedy"}
 # Of the diagnostics of every node; values of those that are no texts are numbers.
 KEYS = TEXTS | {
@@ -45,15 +56,51 @@ KEYS = TEXTS | {
     "odom_rejected", "latitude_deg", "latitude_sigma_deg",
 }  # fmt: skip
 
-# One a worker; domains beyond 101 meet the system's ephemeral ports.
-DOMAIN = 1 + os.getpid() % 100
+
+def take_domain() -> tuple[int, socket.socket]:
+    """A domain of ROS, and what keeps other runs on this machine from taking the same one.
+
+    That is the TCP port of the number where DDS uses UDP. The nodes hold it too, so that those
+    a killed run leaves behind do not speak into the next one.
+    """
+    for k in range(100):  # domains beyond 101 meet the system's ephemeral ports
+        domain = 1 + (os.getpid() + k) % 100
+        port = socket.socket()
+        try:
+            port.bind(("127.0.0.1", 7400 + 250 * domain))
+        except OSError:
+            port.close()
+        else:
+            return domain, port
+    raise RuntimeError("every domain is taken")
+
+
+DOMAIN, DOMAIN_PORT = take_domain()
 ENVIRONMENT = {
     **os.environ,
     "PYTHONPATH": str(ROOT),
     "ROS_DOMAIN_ID": str(DOMAIN),
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
 }
-DEADLINE_S = 90.0
+DEADLINE_S = 180.0  # of whatever is waited for, on a machine that does much else
+# Met soon by the simulated motions below.
+THRESHOLDS = {"heading_threshold_arcmin": 90.0, "level_threshold_arcsec": 300.0, "hold_s": 2.0}
+
+
+def pitching(duration_s: float) -> ImuSamples:
+    """On a base that pitches, by sensors without errors."""
+    options = SwingOptions(
+        scenario="pitch", grade="perfect", rate_hz=50.0, duration_s=duration_s, seed=1
+    )
+    return simulate_swing(options).imu
+
+
+def urban_drive() -> VehicleRun:
+    """A minute of it, with an odometer."""
+    options = VehicleOptions(
+        scenario="urban", grade="fog", rate_hz=50.0, odometer_rate_hz=10.0, duration_s=60.0, seed=3
+    )
+    return simulate_vehicle(options)
 
 
 def arguments(parameters: dict[str, object]) -> list[str]:
@@ -70,17 +117,26 @@ def run_module(module: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 @contextmanager
 def running(module: str, *words: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """A process whose output goes to `log`; killed at the end if it still runs."""
+    """A process whose output goes to `log`; ended by a signal if it still runs.
+
+    Killed only where that does not help. Who is killed while it writes into the shared memory of
+    DDS leaves a lock taken there: this process then waits for it when the observer closes, and
+    crashes when DDS makes that piece of memory anew meanwhile.
+    """
     with log.open("wb") as file:
         process = subprocess.Popen(
-            [sys.executable, "-m", module, *words], env=ENVIRONMENT, stdout=file, stderr=file
-        )
+            [sys.executable, "-m", module, *words],
+            env=ENVIRONMENT, stdout=file, stderr=file, pass_fds=[DOMAIN_PORT.fileno()],
+        )  # fmt: skip
         try:
             yield process
         finally:
-            if process.poll() is None:
+            try:
+                if process.poll() is None:
+                    stop(process, signal.SIGTERM)
+            finally:
                 process.kill()
-            process.wait()
+                process.wait()
 
 
 def diagnostic_values(message: Any) -> dict[str, str]:
@@ -108,6 +164,7 @@ class Observer:
         self.node = Node("observer", context=self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
+        self._clients: dict[str, Client] = {}
         self.received: dict[str, list[Any]] = {}
 
     def listen(self, message_type: type, topic: str, qos: Any, key: str = "") -> None:
@@ -120,12 +177,29 @@ class Observer:
             assert time.monotonic() < end, f"waited in vain for {what}"
             self._executor.spin_once(timeout_sec=0.05)
 
+    def wait_for_stamp(self, key: str, wanted_ns: int) -> None:
+        """Until a message with this stamp is the newest of a topic."""
+        found = self.received[key]
+        self.wait(lambda: found and stamp_ns(found[-1]) == wanted_ns, f"the last of {key}")
+
     def call(self, service_type: type, name: str, request: Any = None) -> Any:
-        client = self.node.create_client(service_type, name)
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(service_type, name)
+            self.introduce(name[1:].rpartition("/")[0])  # else the answer might be lost
+        client = self._clients[name]
         self.wait(client.service_is_ready, name)
         future = client.call_async(request or service_type.Request())
         self.wait(future.done, f"the answer of {name}")
         return future.result()
+
+    def introduce(self, node: str) -> None:
+        """Wait until a node knows of all that has been made here; its name is with its namespace.
+
+        From then on it takes what is published here, and nothing that it publishes is missed.
+        """
+        introduction = Introduction(self.node, f"/{node}")
+        self.wait(introduction.is_done, f"an answer of {node}")
+        introduction.close()
 
     def listen_to_diagnostics(self) -> None:
         self.listen(DiagnosticArray, "/diagnostics", RELIABLE)
@@ -145,14 +219,22 @@ class Observer:
         """As the newest diagnostics have it, '' where there are none."""
         return self.diagnostics().get("state", "")
 
-    def profile(self, node_name: str, topic: str) -> QoSProfile:
+    def profile(self, node: str, topic: str) -> QoSProfile:
         """Of that node's one publisher or subscription of a topic."""
+        self.wait(lambda: self.ends(node, topic), f"{topic} of {node}")
+        (end,) = self.ends(node, topic)
+        return end.qos_profile
+
+    def ends(self, node: str, topic: str) -> list[Any]:
+        """What is known by now of the node's publishers and subscriptions of a topic.
+
+        They are known before it is known whose they are.
+        """
         found = [
             *self.node.get_publishers_info_by_topic(topic),
             *self.node.get_subscriptions_info_by_topic(topic),
         ]
-        (profile,) = [entry.qos_profile for entry in found if entry.node_name == node_name]
-        return profile
+        return [end for end in found if f"{end.node_namespace}/{end.node_name}".strip("/") == node]
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -209,14 +291,15 @@ class Player:
         # Not latched: what was taken before is of no interest here.
         self._taken: list[Time] = []
         observer.node.create_subscription(Time, f"/{node}/processed", self._taken.append, RELIABLE)
-        # That the publishers know of the node does not say that it knows of them. This one is
-        # announced after them: with an answer on it the node has seen them too.
-        known: list[Bool] = []
-        observer.node.create_subscription(Bool, f"/{node}/aligned", known.append, LATCHED)
-        observer.wait(lambda: known and self._connected(), f"the inputs of {node}")
+        observer.wait(lambda: self._connected(node), f"the inputs of {node}")
+        observer.introduce(node)
 
-    def _connected(self) -> bool:
-        return all(publisher.get_subscription_count() for publisher in self._publishers)
+    def _connected(self, node: str) -> bool:
+        """Whether the publishers know of the node, and not only of others that take the same."""
+        return all(
+            publisher.get_subscription_count() and self._observer.ends(node, publisher.topic_name)
+            for publisher in self._publishers
+        )
 
     def play(
         self, imu: ImuSamples, odometer: OdometerSamples | None = None, lead: int = 50

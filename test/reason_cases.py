@@ -8,8 +8,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_harness import (
     LATCHED,
@@ -32,7 +30,7 @@ from std_msgs.msg import Bool
 from sins_align.reasons import REASONS, Kind
 from sins_align.ros.bags_topics import odometer_type
 from sins_align.ros.portable_messages import ros_types
-from sins_align.types import ImuSamples, Position
+from sins_align.types import Position
 
 BY_KEY = {reason.key: reason for reason in REASONS}
 # Between two cases on one node: the second one begins anew.
@@ -44,8 +42,6 @@ LOOSE = {
     "hold_s": 2.0,
     "publish_rate_hz": 1.0,
 }
-# One that is refused.
-NO_SAMPLE = ImuSamples(np.zeros(1, np.int64), np.full((3, 1), np.nan), np.zeros((3, 1)))
 # Of the data that have ended, where a busy machine lets time pass.
 SILENT = {"imu_silent"}
 NAMES = {SWING: "swing_align", ODO: "odo_align"}
@@ -119,18 +115,8 @@ class Live:
         assert "Traceback" not in self.log
 
     def player(self, position: Position | None = None) -> Player:
-        """A new one, once the node has answered it: it may know of the node before that of it."""
-        player = Player(self.observer, self.name, *self._topics, self._odom_type, position)
-        answers: list[Time] = []
-        node = self.observer.node
-        node.create_subscription(Time, f"/{self.name}/processed", answers.append, RELIABLE)
-
-        def is_answered() -> bool:
-            player.burst(NO_SAMPLE)
-            return bool(answers)
-
-        self.observer.wait(is_answered, f"{self.name} to answer")
-        return player
+        """A new one."""
+        return Player(self.observer, self.name, *self._topics, self._odom_type, position)
 
     def announce(self, odom_type: str) -> Publisher:
         """A publisher of the odometer's topic."""
@@ -175,7 +161,8 @@ class Live:
             assert text in values["reason"]
             assert reason.remedy.partition("{")[0] in values["remedy"]
             assert values["remedy"] or not reason.remedy
-            assert reason.kind is Kind.NOTE or not self.is_aligned
+            if reason.kind is not Kind.NOTE:  # another topic, which may come later
+                self.observer.wait(lambda: not self.is_aligned, f"not aligned for {key}")
 
     def align(
         self, drive: Drive, player: Player | None = None, noted: frozenset[str] = frozenset()

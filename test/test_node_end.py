@@ -19,16 +19,15 @@ from node_harness import (
     ODO,
     SWING,
     SYNTH,
+    THRESHOLDS,
     Player,
     arguments,
     observing,
+    pitching,
     running,
     stop,
 )
 from std_srvs.srv import Trigger
-
-from sins_align.simulate import SwingOptions, simulate_swing
-from sins_align.types import ImuSamples
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -46,15 +45,8 @@ def holds_sigterm(process: subprocess.Popen[bytes]) -> bool:
     """Whether the process has got so far that a signal no longer simply ends it."""
     status = Path(f"/proc/{process.pid}/status").read_text()
     masks = dict(line.split(":") for line in status.splitlines() if line.startswith("Sig"))
-    return bool(int(masks["SigBlk"], 16) >> (signal.SIGTERM - 1) & 1)
-
-
-def imu(duration_s: float) -> ImuSamples:
-    return simulate_swing(
-        SwingOptions(
-            scenario="pitch", grade="perfect", rate_hz=50.0, duration_s=duration_s, seed=1
-        )
-    ).imu  # fmt: skip
+    held = int(masks["SigBlk"], 16) | int(masks["SigCgt"], 16)  # the latter when it is up already
+    return bool(held >> (signal.SIGTERM - 1) & 1)
 
 
 def check_log(log: Path) -> None:
@@ -101,7 +93,7 @@ def test_a_signal_while_it_waits(tmp_path: Path, executor: str, number: int) -> 
 @EXECUTORS
 def test_a_signal_in_the_middle_of_a_burst(tmp_path: Path, executor: str, number: int) -> None:
     """Samples under way, in the queue and half taken in; best effort, so some may get lost."""
-    samples = imu(16.0)
+    samples = pitching(16.0)
     result, log = tmp_path / "result.json", tmp_path / "log"
     words = arguments({"executor": executor, "result_file": result, "latitude_deg": 40.0})
     with observing() as observer, running(SWING, *words, log=log) as process:
@@ -120,7 +112,9 @@ def test_signal_while_samples_come_with_the_events_executor(tmp_path: Path) -> N
         "executor": "events", "latitude_deg": 40, "result_file": tmp_path / "result.json",
         "qos_overrides./imu.subscription.depth": 5000,
     }  # fmt: skip
-    synth = {"rate": 200.0, "duration_s": 60.0, "grade": "perfect"}
+    synth = {
+        "rate": 200.0, "duration_s": 60.0, "grade": "perfect", "wait_timeout_s": DEADLINE_S
+    }  # fmt: skip
     with (
         observing() as observer,
         running(SWING, *arguments(node), log=tmp_path / "node") as process,
@@ -142,11 +136,10 @@ def test_a_restart_does_not_throw_a_complete_alignment_away(tmp_path: Path, save
     """Unless the operator has asked for what there is now."""
     result, log = tmp_path / "result.json", tmp_path / "log"
     parameters = {
-        "latitude_deg": 40.0, "imu_grade": "perfect", "heading_threshold_arcmin": 90.0,
-        "level_threshold_arcsec": 300.0, "hold_s": 2.0, "result_file": result,
+        **THRESHOLDS, "latitude_deg": 40.0, "imu_grade": "perfect", "result_file": result
     }  # fmt: skip
     with observing() as observer, running(SWING, *arguments(parameters), log=log) as process:
-        Player(observer).play(imu(25.0))
+        Player(observer).play(pitching(25.0))
         observer.wait(result.exists, "the result")
         assert observer.call(Trigger, "/swing_align/restart").success
         aligned = json.loads(result.read_text())

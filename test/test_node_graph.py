@@ -17,25 +17,26 @@ from node_harness import (
     ODO,
     RELIABLE,
     SWING,
+    THRESHOLDS,
     Observer,
     Player,
     arguments,
     diagnostic_values,
     observing,
+    pitching,
     running,
     stop,
+    urban_drive,
 )
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from sins_align.simulate import SwingOptions, VehicleOptions, simulate_swing, simulate_vehicle
 from sins_align.types import Position
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 PLACE = Position(math.radians(40.0))
-THRESHOLDS = {"heading_threshold_arcmin": 90.0, "level_threshold_arcsec": 300.0, "hold_s": 2.0}
 LEFT, RIGHT = "/vehicle_1/left", "/vehicle_2/right"
 SHARED = {"/diagnostics", "/rosout", "/parameter_events"}
 
@@ -94,28 +95,52 @@ def check_names(observer: Observer, full_name: str, inputs: set[str]) -> None:
     assert all(name.startswith(f"{full_name}/") for name in own), own
 
 
+def listen(observer: Observer) -> None:
+    observer.listen_to_diagnostics()
+    for name in (LEFT, RIGHT):
+        observer.listen(Imu, f"{name}/attitude", RELIABLE)
+        observer.listen(Bool, f"{name}/aligned", LATCHED)
+
+
+def check_right_has_got_nothing(observer: Observer, result: Path) -> None:
+    observer.wait(lambda: diagnostics(observer, RIGHT), "right's diagnostics")
+    assert state(observer, RIGHT) == "waiting"
+    assert not observer.received[f"{RIGHT}/attitude"]
+    assert not result.exists()
+
+
+def check_published(observer: Observer) -> None:
+    """What has come of both: left aligned and restarted, right aligned."""
+    for name, flags in ((LEFT, [False, True, False]), (RIGHT, [False, True])):
+        assert [message.data for message in observer.received[f"{name}/aligned"]] == flags
+    titles = {message.status[0].name for message in observer.received["/diagnostics"]}
+    assert titles == {"vehicle_1/left: alignment", "vehicle_2/right: alignment"}
+
+
+def check_written(folder: Path, full_name: str, node: str, samples: int) -> None:
+    """Its result, and its log."""
+    _, namespace, name = full_name.split("/")
+    document = json.loads((folder / f"{name}.json").read_text())
+    assert (document["node"], document["aligned"]) == (node, True)
+    assert document["input"]["imu_samples"] == samples
+    text = (folder / name).read_text()
+    assert f"[{namespace}.{name}]" in text
+    assert "Traceback" not in text
+
+
 def test_two_nodes_in_one_graph(tmp_path: Path) -> None:
-    swing = simulate_swing(
-        SwingOptions(scenario="pitch", grade="perfect", rate_hz=50.0, duration_s=25.0, seed=1)
-    )
-    drive = simulate_vehicle(
-        VehicleOptions(
-            scenario="urban", grade="fog", rate_hz=50.0, odometer_rate_hz=10.0, duration_s=60.0,
-            seed=3,
-        )
-    )  # fmt: skip
-    results = {name: tmp_path / f"{name}.json" for name in ("left", "right")}
-    left_words = node_words(LEFT, results["left"], "perfect", fix="/gps")
-    right_words = node_words(RIGHT, results["right"], "fog", imu="/imu/raw", odom="/wheel/twist")
+    imu, drive = pitching(25.0), urban_drive()
+    half = len(drive.imu) // 2
+    before = drive.odometer.stamp_ns <= drive.imu.stamp_ns[half]
+    left_result, right_result = tmp_path / "left.json", tmp_path / "right.json"
+    left_words = node_words(LEFT, left_result, "perfect", fix="/gps")
+    right_words = node_words(RIGHT, right_result, "fog", imu="/imu/raw", odom="/wheel/twist")
     with (
         observing() as observer,
         running(SWING, *left_words, log=tmp_path / "left") as left,
         running(ODO, *right_words, log=tmp_path / "right") as right,
     ):
-        observer.listen_to_diagnostics()
-        for name in (LEFT, RIGHT):
-            observer.listen(Imu, f"{name}/attitude", RELIABLE)
-            observer.listen(Bool, f"{name}/aligned", LATCHED)
+        listen(observer)
         to_left = Player(observer, LEFT[1:], "/vehicle_1/imu", position=PLACE, fix_topic="/gps")
         to_right = Player(
             observer, RIGHT[1:], "/imu/raw", "/wheel/twist", "TwistStamped", PLACE,
@@ -123,16 +148,9 @@ def test_two_nodes_in_one_graph(tmp_path: Path) -> None:
         )  # fmt: skip
         check_names(observer, LEFT, {"/vehicle_1/imu", "/gps"})
         check_names(observer, RIGHT, {"/imu/raw", "/wheel/twist", "/vehicle_2/fix"})
-        to_left.play(swing.imu)
+        to_left.play(imu)
         observer.wait(lambda: state(observer, LEFT) == "aligned", "left aligned")
-        observer.wait(lambda: diagnostics(observer, RIGHT), "right's diagnostics")
-        assert state(observer, RIGHT) == "waiting"
-        assert not observer.received[f"{RIGHT}/attitude"]
-        assert not results["right"].exists()
-
-        half = len(drive.imu) // 2
-        middle_ns = drive.imu.stamp_ns[half]
-        before = drive.odometer.stamp_ns <= middle_ns
+        check_right_has_got_nothing(observer, right_result)
         to_right.play(drive.imu.select(slice(0, half)), drive.odometer.select(before))
         # A service of one is not the other's; then one ends, and the other goes on.
         assert observer.call(Trigger, f"{LEFT}/restart").success
@@ -140,20 +158,7 @@ def test_two_nodes_in_one_graph(tmp_path: Path) -> None:
         assert stop(left, signal.SIGTERM) == 0
         to_right.play(drive.imu.select(slice(half, None)), drive.odometer.select(~before))
         observer.wait(lambda: state(observer, RIGHT) == "aligned", "right aligned")
-        flags = [
-            [message.data for message in observer.received[f"{name}/aligned"]]
-            for name in (LEFT, RIGHT)
-        ]
-        assert flags == [[False, True, False], [False, True]]
         assert stop(right, signal.SIGTERM) == 0
-        titles = {m.status[0].name for m in observer.received["/diagnostics"]}
-        assert titles == {"vehicle_1/left: alignment", "vehicle_2/right: alignment"}
-    for name, kind, samples in (
-        ("left", "swing_align", len(swing.imu)), ("right", "odo_align", len(drive.imu))
-    ):  # fmt: skip
-        document = json.loads(results[name].read_text())
-        assert (document["node"], document["aligned"]) == (kind, True)
-        assert document["input"]["imu_samples"] == samples
-        text = (tmp_path / name).read_text()
-        assert f"[vehicle_{1 if name == 'left' else 2}.{name}]" in text
-        assert "Traceback" not in text
+        check_published(observer)
+    check_written(tmp_path, LEFT, "swing_align", len(imu))
+    check_written(tmp_path, RIGHT, "odo_align", len(drive.imu))

@@ -14,15 +14,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from node_harness import (
     ODO,
     SYNTH,
+    Player,
     arguments,
     observing,
     run_module,
     running,
 )
-from sensor_msgs.msg import Imu
 
 from sins_align.ros.bags_topics import KINDS
-from sins_align.ros.cdr import encode_imu
 from sins_align.ros.odometer import OdometerRow
 from sins_align.ros.portable_messages import odometer_message, ros_types
 from sins_align.simulate import VehicleOptions, simulate_vehicle
@@ -91,14 +90,10 @@ def test_another_type_on_the_topic_is_said(tmp_path: Path) -> None:
 
 def test_a_silent_odometer_is_a_warning_with_a_remedy(tmp_path: Path) -> None:
     run = simulate_vehicle(VehicleOptions(scenario="static", rate_hz=50.0, duration_s=12.0))
-    payloads = [bytes(payload) for payload in encode_imu(run.imu, "imu")]
     with observing() as observer, running(ODO, *arguments(PLACE), log=tmp_path / "log"):
         observer.listen_to_diagnostics()
-        publisher = observer.node.create_publisher(Imu, "/imu", 2000)
-        observer.wait(lambda: publisher.get_subscription_count(), "the node")
+        Player(observer, "odo_align").play(run.imu)
         observer.wait(observer.diagnostics, "diagnostics")
-        for payload in payloads:
-            publisher.publish(payload)
         observer.wait(lambda: "no odometer" in observer.diagnostics()["reason"], "the reason")
         status = observer.received["/diagnostics"][-1].status[0]
         assert status.level in (DiagnosticStatus.WARN, DiagnosticStatus.ERROR)

@@ -22,6 +22,7 @@ from node_harness import (
     Player,
     arguments,
     observing,
+    pitching,
     running,
     stamp_ns,
 )
@@ -39,7 +40,6 @@ from std_msgs.msg import Bool
 
 from sins_align.config_path import shipped_config
 from sins_align.parameters import parameters_of
-from sins_align.simulate import SwingOptions, simulate_swing
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -84,9 +84,7 @@ def _named(value: Any) -> Any:
 
 def test_changes_take_effect_in_the_running_alignment_and_lose_nothing(tmp_path: Path) -> None:
     """Thresholds out of reach, then within; rate, frame and file, too."""
-    imu = simulate_swing(
-        SwingOptions(scenario="pitch", grade="perfect", rate_hz=50.0, duration_s=56.0, seed=1)
-    ).imu
+    imu = pitching(56.0)
     parameters = {
         "latitude_deg": 40.0, "imu_grade": "perfect", "publish_rate_hz": 10.0, "hold_s": 2.0,
         "heading_threshold_arcmin": 1e-5,
@@ -100,7 +98,9 @@ def test_changes_take_effect_in_the_running_alignment_and_lose_nothing(tmp_path:
         observer.listen(Bool, "/swing_align/aligned", LATCHED, "aligned")
         player = Player(observer)
         player.play(imu.select(slice(0, 1500)))
-        assert [message.data for message in observer.received["aligned"]] == [False]
+        aligned = observer.received["aligned"]
+        observer.wait(lambda: aligned, "aligned")
+        assert [message.data for message in aligned] == [False]
         changes = {
             "heading_threshold_arcmin": 90.0, "level_threshold_arcsec": 300, "hold_s": 1,
             "publish_rate_hz": 5.0, "nav_frame": "enu", "result_file": str(result),
@@ -111,9 +111,9 @@ def test_changes_take_effect_in_the_running_alignment_and_lose_nothing(tmp_path:
         player.play(imu.select(slice(1500, 2201)))
         observer.wait(lambda: result.exists(), "the result")
         last_ns = int(imu.stamp_ns[2200])
-        observer.wait(
-            lambda: stamp_ns(observer.received["misalignment"][-1]) == last_ns, "the last pose"
-        )
+        for name in ("attitude", "misalignment"):
+            observer.wait_for_stamp(name, last_ns)
+        observer.wait(lambda: aligned[-1].data, "aligned")
         document = json.loads(result.read_text())
         assert document["aligned"]
         # Two estimates later: all that came before counts on.
@@ -127,7 +127,7 @@ def test_changes_take_effect_in_the_running_alignment_and_lose_nothing(tmp_path:
         # Out of reach again.
         assert set_all(observer, heading_threshold_arcmin=1e-5).successful
         player.play(imu.select(slice(2201, None)))
-        observer.wait(lambda: not observer.received["aligned"][-1].data, "aligned taken back")
+        observer.wait(lambda: not aligned[-1].data, "aligned taken back")
     text = log.read_text()
     assert text.count("parameters set: ") == 2
     assert "anew" not in text and "Traceback" not in text

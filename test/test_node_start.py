@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
@@ -10,12 +11,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from builtin_interfaces.msg import Time
-from node_harness import SWING, SYNTH, arguments, observing, run_module, running
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import Imu, NavSatFix
+from node_harness import SWING, SYNTH, Player, arguments, observing, run_module, running
+from sensor_msgs.msg import NavSatFix
+from std_srvs.srv import Trigger
 
-from sins_align.ros.cdr import encode_imu
 from sins_align.ros.messages import fix_message
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.types import ImuSamples, Position
@@ -78,32 +77,33 @@ def test_position_comes_from_the_fix_and_a_gap_begins_anew(tmp_path: Path) -> No
         assert "latitude" in observer.diagnostics()["reason"]
         assert "fix" in observer.diagnostics()["remedy"]
         fix = observer.node.create_publisher(NavSatFix, "/fix", 10)
-        publisher = observer.node.create_publisher(Imu, "/imu", 2000)
-        observer.listen(Time, "/swing_align/processed", QoSProfile(depth=1))
-
-        # A publisher knows of a subscription before the subscription knows of it: publish
-        # until there is an answer.
-        def position_taken() -> bool:
-            invalid = fix_message(0, Position(0.1), "gnss")
-            invalid.status.status = -1
-            fix.publish(invalid)
-            fix.publish(fix_message(0, Position(math.radians(40.0)), "gnss"))
-            return "position from topic fix" in log.read_text()
-
-        def sample_taken() -> bool:
-            publisher.publish(payloads[0])
-            return bool(observer.received["/swing_align/processed"])
-
-        payloads = [bytes(payload) for payload in encode_imu(samples, "imu")]
-        observer.wait(position_taken, "the position")
-        observer.wait(sample_taken, "the first sample")
-        for payload in payloads[1:]:
-            publisher.publish(payload)
+        observer.wait(fix.get_subscription_count, "the subscription of the fix")
+        player = Player(observer)  # from now on the node knows of both
+        invalid = fix_message(0, Position(0.1), "gnss")
+        invalid.status.status = -1
+        fix.publish(invalid)
+        fix.publish(fix_message(0, Position(math.radians(40.0)), "gnss"))
+        observer.wait(lambda: "position from topic fix" in log.read_text(), "the position")
+        player.play(samples)
         observer.wait(lambda: "the alignment began anew" in log.read_text(), "the restart")
         observer.wait(
             lambda: "began_anew" in observer.diagnostics()["reason_keys"],
             "the reason in diagnostics",
         )
-        assert int(observer.diagnostics()["imu_rejected"]) >= 3
+        assert int(observer.diagnostics()["imu_rejected"]) == 3
     assert "40.000000 deg" in log.read_text()
     assert log.read_text().count("the alignment began anew: 2.0 s without IMU data") == 1
+
+
+def test_align_synth_plays_twice_to_one_node_and_loses_nothing(tmp_path: Path) -> None:
+    """What the node took of the first time is no leave to send all of the second at once."""
+    node = arguments({"latitude_deg": 40.0, "result_file": tmp_path / "result.json"})
+    synth = {"rate": 200.0, "duration_s": 20.0, "grade": "perfect", "speed": 0.0}
+    with observing() as observer, running(SWING, *node, log=tmp_path / "log"):
+        for count in (4001, 8002):
+            done = run_module(SYNTH, *arguments(synth))
+            assert done.returncode == 0, done.stderr
+            assert observer.call(Trigger, "/swing_align/save").success
+            found = json.loads((tmp_path / "result.json").read_text())["input"]
+            taken = found["imu_samples"] + found["imu_rejected"]
+            assert (taken, found["imu_gaps"]) == (count, 0)

@@ -15,23 +15,25 @@ from node_harness import (
     ODO,
     RELIABLE,
     SWING,
+    THRESHOLDS,
     Observer,
     Player,
     arguments,
     observing,
+    pitching,
     running,
     stamp_ns,
+    urban_drive,
 )
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
 
-from sins_align.simulate import SwingOptions, VehicleOptions, simulate_swing, simulate_vehicle
+from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.types import ImuSamples
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
-THRESHOLDS = {"heading_threshold_arcmin": 90.0, "level_threshold_arcsec": 300.0, "hold_s": 2.0}
 RATE_HZ = 10
 
 
@@ -57,7 +59,7 @@ def check_second_pass(observer: Observer, node: str, log: Path, imu: ImuSamples)
 
     last_ns = int(imu.stamp_ns[-1])
     observer.wait(lambda: aligned() == [False, True, False, True], "aligned, twice")
-    observer.wait(lambda: last_ns in stamps_of(observer, node), "the last attitude")
+    observer.wait_for_stamp(f"/{node}/attitude", last_ns)
     stamps = stamps_of(observer, node)
     (jump,) = np.nonzero(np.diff(stamps) < 0)[0]
     first, second = stamps[: jump + 1], stamps[jump + 1 :]
@@ -78,9 +80,7 @@ def check_second_pass(observer: Observer, node: str, log: Path, imu: ImuSamples)
 
 
 def test_a_looped_bag_begins_the_swing_alignment_anew(tmp_path: Path) -> None:
-    imu = simulate_swing(
-        SwingOptions(scenario="pitch", grade="perfect", rate_hz=50.0, duration_s=30.0, seed=1)
-    ).imu
+    imu = pitching(30.0)
     parameters = {
         **THRESHOLDS, "latitude_deg": 40.0, "imu_grade": "perfect", "publish_rate_hz": RATE_HZ
     }  # fmt: skip
@@ -100,12 +100,7 @@ def test_a_looped_bag_begins_the_swing_alignment_anew(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lead", [50, -20])
 def test_a_looped_drive_begins_anew_whichever_jumps_first(tmp_path: Path, lead: int) -> None:
-    run = simulate_vehicle(
-        VehicleOptions(
-            scenario="urban", grade="fog", rate_hz=50.0, odometer_rate_hz=10.0, duration_s=60.0,
-            seed=3,
-        )
-    )  # fmt: skip
+    run = urban_drive()
     parameters = {
         **THRESHOLDS, "latitude_deg": 40.0, "imu_grade": "fog", "publish_rate_hz": RATE_HZ
     }  # fmt: skip

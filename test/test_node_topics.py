@@ -82,11 +82,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
             # Sees the node idle before the first sample comes.
             observer.wait(observer.diagnostics, "diagnostics")
             observer.wait(lambda: observer.received["/swing_align/aligned"], "aligned")
+            observer.introduce("swing_align")
             with running(SYNTH, *arguments(synth), log=folder / "synth.log") as player:
                 observer.wait(lambda: player.poll() is not None, "the end of align_synth")
                 assert player.returncode == 0, (folder / "synth.log").read_text()
-            observer.wait(lambda: observer.state == "aligned", "the state aligned")
             truth = json.loads((folder / "truth.json").read_text())
+            for name in ("attitude", "misalignment"):
+                observer.wait_for_stamp(f"/swing_align/{name}", truth["stamp_ns"])
+            observer.wait(lambda: observer.state == "aligned", "the state aligned")
             yield Run(observer, process, result, truth, observer.received)
 
 

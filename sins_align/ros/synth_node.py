@@ -24,12 +24,13 @@ import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, NavSatFix
 
 from sins_align.parameters import Parameter
 from sins_align.ros.bags_topics import odometer_type
 from sins_align.ros.cdr import encode_imu
+from sins_align.ros.introduction import Introduction
 from sins_align.ros.messages import fix_message
 from sins_align.ros.node_parameters import declare_parameters, given_value
 from sins_align.ros.odometer import odometer_rows
@@ -45,7 +46,7 @@ LEAD = 50  # samples
 BURST = 100  # samples at a time when the timetable is behind
 STALLED_S = 20.0
 SETTLE_S = 0.5
-END_S = 2.0  # how long the end waits for the last samples to be taken
+END_S = 2.0  # how long the end waits for the last samples to be taken in real time
 _NS = 1_000_000_000
 
 KIND = Parameter("kind", "swing", "what is simulated", choices=tuple(SIMULATIONS))
@@ -129,9 +130,9 @@ class SynthNode(Node):
         # Offered as reliable, so that a subscription of either kind gets it.
         self._imu = self.create_publisher(Imu, "imu", 2000)
         self._fix = self.create_publisher(NavSatFix, "fix", 10)
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._progress = f"{self._values['aligner']}/processed"
-        self.create_subscription(Time, self._progress, self._on_processed, latched)
+        # Not latched: what was taken before is of no interest here.
+        self.create_subscription(Time, self._progress, self._on_processed, QoSProfile(depth=1))
 
     def _on_processed(self, stamp: Time) -> None:
         self._processed_ns = stamp.sec * _NS + stamp.nanosec
@@ -155,10 +156,7 @@ class SynthNode(Node):
             self._play_timed(speed)
         else:
             self._play_throttled()
-        # The last samples are still under way: this publisher has to outlive them.
-        end = time.monotonic() + END_S
-        while self._processed_ns < self._stamp_ns[-1] and time.monotonic() < end:
-            rclpy.spin_once(self, timeout_sec=0.1)
+        self._wait_for_the_last(END_S if speed > 0.0 else STALLED_S)
         self.get_logger().info(f"{self._sent} samples published")
 
     def _wait_for_subscribers(self) -> None:
@@ -177,6 +175,18 @@ class SynthNode(Node):
         end = time.monotonic() + SETTLE_S
         while time.monotonic() < end:
             rclpy.spin_once(self, timeout_sec=0.05)
+        if throttled:
+            self._introduce()
+
+    def _introduce(self) -> None:
+        """Wait until the aligner knows of the publishers: it is sent no sample twice."""
+        introduction = Introduction(self, self._values["aligner"])
+        end = time.monotonic() + STALLED_S
+        while not introduction.is_done():
+            if time.monotonic() > end:
+                raise TimeoutError(f"{self._values['aligner']} does not answer")
+            rclpy.spin_once(self, timeout_sec=0.05)
+        introduction.close()
 
     def _has_aligner(self) -> bool:
         """Whether the aligner has all it needs to follow."""
@@ -207,6 +217,14 @@ class SynthNode(Node):
             rclpy.spin_once(self, timeout_sec=0.5)
             if time.monotonic() - last_progress > STALLED_S:
                 raise TimeoutError(f"{self._values['aligner']} stopped taking samples")
+
+    def _wait_for_the_last(self, patience_s: float) -> None:
+        """The last samples are still under way: this publisher has to outlive them."""
+        seen_ns, end = self._processed_ns, time.monotonic() + patience_s
+        while self._processed_ns < self._stamp_ns[-1] and time.monotonic() < end:
+            rclpy.spin_once(self, timeout_sec=0.1)
+            if self._processed_ns != seen_ns:
+                seen_ns, end = self._processed_ns, time.monotonic() + patience_s
 
     def _publish(self, end: int) -> None:
         """Publish the samples up to `end`, each with what is due before it.
