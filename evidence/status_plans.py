@@ -25,10 +25,14 @@ HOW_MANY = (0.6, 0.3, 0.1)
 
 
 class Dice:
-    """Random figures of one run."""
+    """Random figures of one run.
+
+    run_seed : for the simulator; no other run's, or both nodes would get the same sensors
+    """
 
     def __init__(self, *seed: int) -> None:
         self.stream = np.random.default_rng(seed)
+        self.run_seed = int(np.random.SeedSequence(seed).generate_state(1)[0])
 
     def between(self, low: float, high: float) -> float:
         """Uniform."""
@@ -90,13 +94,13 @@ class Draft:
         return self.dice.between(20.0, 0.9 * self.options["duration_s"])
 
 
-def draw_common(dice: Dice, number: int, duration: tuple[float, float]) -> Draft:
+def draw_common(dice: Dice, duration: tuple[float, float]) -> Draft:
     """IMU, place and thresholds; what is declared is right."""
     grade = dice.one_of(GRADES)
     latitude = dice.between(-MOST_LATITUDE_DEG, MOST_LATITUDE_DEG)
     sampling = dice.one_of(("mean", "instantaneous"))
     options: dict[str, Any] = {
-        "seed": number,
+        "seed": dice.run_seed,
         "grade": load_grade(grade),
         "rate_hz": 50.0 if dice.happens(0.5) else 100.0,
         "duration_s": round(dice.between(*duration)),

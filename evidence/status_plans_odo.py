@@ -14,7 +14,10 @@ from evidence.status_plans import (
     make_plan,
 )
 from evidence.status_runs import Plan
+from sins_align.config import odo_config
+from sins_align.odo.odometer_model import GRADIENT_SIGMA
 from sins_align.simulate import VehicleOptions
+from sins_align.units import DEG
 
 DURATION_S = (300.0, 400.0)
 KINDS = ("ring", "figure8", "urban", "moving_start", "static", "straight")
@@ -27,7 +30,7 @@ MOST_THRESHOLD_ARCMIN = 150.0
 def odo_plan(number: int) -> Plan:
     """The run of that number."""
     dice = Dice(2, number)
-    draft = draw_common(dice, number, DURATION_S)
+    draft = draw_common(dice, DURATION_S)
     draft.scenario = draft.options["scenario"] = dice.one_of(KINDS)
     threshold = draft.parameters["heading_threshold_arcmin"]
     if draft.scenario in TURNING:
@@ -35,12 +38,24 @@ def odo_plan(number: int) -> Plan:
     draft.parameters["heading_threshold_arcmin"] = min(threshold, MOST_THRESHOLD_ARCMIN)
     if draft.scenario == "static" and dice.happens(0.5):
         draft.scenario, draft.parameters["aiding"] = "static, no odometer", "stationary"
-    draft.options["mounting_rpy_deg"] = (0.0, *dice.normal(0.5)[1:])
-    draft.options["odometer_lever_arm_m"] = tuple(
-        sigma * x for sigma, x in zip((1.0, 0.3, 0.3), dice.normal(1.0), strict=True)
-    )
-    draft.options["odometer_latency_s"] = dice.between(0.0, 0.1)
+    _draw_odometer(draft)
     return make_plan(draft, number, VehicleOptions, draw_faults(draft, FAULTS))
+
+
+def _draw_odometer(draft: Draft) -> None:
+    """As uncertain as is declared, where nothing else is said: by the defaults."""
+    dice, declared = draft.dice, odo_config({}).odometer
+    pitch, yaw, _ = dice.normal(declared.mounting_sigma / DEG)
+    draft.options["mounting_rpy_deg"] = (0.0, pitch, yaw)
+    lever = declared.lever_arm_sigma * dice.normal(1.0)
+    draft.options["odometer_lever_arm_m"] = tuple(lever.tolist())
+    # A stamp is late and never early.
+    draft.options["odometer_latency_s"] = abs(dice.normal(declared.latency_sigma)[0])
+    draft.options["odometer_scale_sigma"] = declared.scale_sigma
+    draft.options["direction_noise_deg"] = declared.direction_sigma / DEG
+    sideslip, suspension, _ = dice.normal(GRADIENT_SIGMA / DEG)
+    draft.options["sideslip_deg_per_m_s2"] = sideslip
+    draft.options["suspension_pitch_deg_per_m_s2"] = suspension
 
 
 def _slip(draft: Draft) -> str:

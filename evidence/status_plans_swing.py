@@ -19,6 +19,7 @@ from evidence.status_runs import Plan
 from sins_align.simulate import SCENARIOS, SwingOptions
 
 DURATION_S = (300.0, 420.0)
+LEVER_SIGMA_M = 2.0
 WEAK = "weak"
 KINDS = (*SCENARIOS, WEAK)
 
@@ -26,7 +27,7 @@ KINDS = (*SCENARIOS, WEAK)
 def swing_plan(number: int) -> Plan:
     """The run of that number."""
     dice = Dice(1, number)
-    draft = draw_common(dice, number, DURATION_S)
+    draft = draw_common(dice, DURATION_S)
     draft.scenario = scenario = dice.one_of(KINDS)
     draft.options["scenario"] = scenario
     if scenario == WEAK:
@@ -36,7 +37,8 @@ def swing_plan(number: int) -> Plan:
             SCENARIOS["level"], name=WEAK, amplitude_deg=(swing, swing, swing)
         )
         draft.scenario = f"{WEAK} {swing:.2f} deg"
-    draft.options["lever_arm_m"] = dice.normal(2.0)
+    draft.options["lever_arm_m"] = dice.normal(LEVER_SIGMA_M)
+    draft.parameters["lever_arm_prior_sigma_m"] = LEVER_SIGMA_M
     return make_plan(draft, number, SwingOptions, draw_faults(draft, FAULTS))
 
 

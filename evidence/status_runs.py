@@ -11,6 +11,7 @@ import numpy as np
 
 from evidence.monte_carlo import misalignment_of
 from sins_align.config import odo_config, swing_config
+from sins_align.grades import load_grade
 from sins_align.session import Session, Update
 from sins_align.simulate import SwingOptions, VehicleOptions, simulate_swing, simulate_vehicle
 from sins_align.types import Array, Estimate, ImuSamples, IntArray, OdometerSamples, State
@@ -108,6 +109,8 @@ class Record:
     eta_s : as told at `ETA_AT_S`; alarm_s : when the latitude was first said to be wrong; inf:
         never
     end_s : of the data; keys : of the status at the end
+    bias_square : of the accelerometers' biases across the vertical, normalised, 2 degrees of
+        freedom: the level square of a base that does not tell them
     """
 
     node: str
@@ -122,6 +125,7 @@ class Record:
     alarm_s: float
     end_s: float
     keys: tuple[str, ...] = ()
+    bias_square: float = math.nan
 
     @property
     def aligned_s(self) -> float:
@@ -159,26 +163,30 @@ class Record:
 
 
 class Samples(NamedTuple):
-    """What the session gets, and the truth: stamps (N,) to C_nb (3, 3, N)."""
+    """What the session gets, and the truth: stamps (N,) to C_nb (3, 3, N), biases (3,)."""
 
     imu: ImuSamples
     odometer: OdometerSamples | None
     C_nb_at: Callable[[IntArray], Array]
+    accel_bias: Array
 
 
 def simulate(plan: Plan) -> Samples:
     """The samples of a plan, with its faults."""
     if isinstance(plan.options, SwingOptions):
         swing = simulate_swing(plan.options)
-        samples = Samples(swing.imu, None, swing.truth.C_nb_at)
+        truth = swing.truth
+        samples = Samples(swing.imu, None, truth.C_nb_at, truth.accel_bias_m_s2)
         if plan.impulse is not None:
-            samples = _jump(samples, plan.impulse, plan.options, swing.truth.lever_arm_m)
+            samples = _jump(samples, plan.impulse, plan.options, truth.lever_arm_m)
     else:
         vehicle = simulate_vehicle(plan.options)
         odometer = vehicle.odometer
         if plan.is_opposite:
             odometer = OdometerSamples(odometer.stamp_ns, -odometer.speed, odometer.variance)
-        samples = Samples(vehicle.imu, odometer, vehicle.truth.C_nb_at)
+        samples = Samples(
+            vehicle.imu, odometer, vehicle.truth.C_nb_at, vehicle.truth.accel_bias_m_s2
+        )
     if plan.gap is not None:
         begin_s, length_s = plan.gap
         time_s = (samples.imu.stamp_ns - plan.options.start_stamp_ns) * 1e-9
@@ -203,7 +211,7 @@ def _jump(samples: Samples, impulse: Impulse, options: SwingOptions, r_b: Array)
     f = np.einsum("jin,jn->in", R, imu.f_ib_b)
     f += impulse.tilt * np.outer(np.cross(axis, r_b), acceleration)
     f += impulse.heave * acceleration * C_nb_at(imu.stamp_ns)[2]
-    return Samples(ImuSamples(imu.stamp_ns, w, f), None, C_nb_at)
+    return samples._replace(imu=ImuSamples(imu.stamp_ns, w, f), C_nb_at=C_nb_at)
 
 
 def run(plan: Plan) -> Record:
@@ -237,7 +245,15 @@ def run(plan: Plan) -> Record:
         alarm_s=(alarms[0] - start_ns) * 1e-9 if alarms else math.inf,
         end_s=plan.options.duration_s,
         keys=session.status.keys,
+        bias_square=_bias_square(samples, load_grade(plan.grade).accel_bias),
     )
+
+
+def _bias_square(samples: Samples, sigma: float) -> float:
+    """Of the accelerometers' biases across the vertical; sigma : as declared [m/s^2]."""
+    C_nb = samples.C_nb_at(samples.imu.stamp_ns[-1:])[:, :, 0]
+    level = C_nb[:2] @ samples.accel_bias / sigma
+    return float(level @ level)
 
 
 def _feed(session: Session, samples: Samples, after_ns: int, until_ns: int) -> list[Update]:

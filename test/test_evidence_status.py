@@ -21,6 +21,7 @@ from evidence.status import (
 from evidence.status_plans_odo import FAULTS, odo_plan
 from evidence.status_plans_swing import swing_plan
 from evidence.status_runs import ETA_AT_S, Impulse, Moment, Plan, Record, run, simulate
+from sins_align.config import odo_config
 from sins_align.simulate import SwingOptions, VehicleOptions
 from sins_align.units import ARCMIN, DEG
 
@@ -123,6 +124,32 @@ def test_every_fault_happens_and_a_clean_run_has_none() -> None:
             assert plan.options.lost_fraction == plan.options.stamp_jitter_s == 0.0
     assert kinds["odo"] == set(FAULTS)
     assert {"heave", "sway", "lever arm", "turn", "impulse", "gyro bias"} < kinds["swing"]
+
+
+def test_a_clean_run_is_as_uncertain_as_declared() -> None:
+    """Mean squares over the declared ones, in 0.5 ... 99.5 % of chi-square; no two runs alike."""
+    plans = [plan_of(n) for n in range(400) for plan_of in (swing_plan, odo_plan)]
+    assert len({p.options.seed for p in plans}) == 800
+    clean = [p for p in plans if not p.faults]
+    declared = odo_config({}).odometer
+    drawn: dict[str, list[float]] = {key: [] for key in ("lever", "mounting", "latency", "swing")}
+    for plan in clean:
+        options = plan.options
+        if isinstance(options, SwingOptions):
+            assert options.lever_arm_m is not None
+            sigma = plan.parameters["lever_arm_prior_sigma_m"]
+            drawn["swing"] += (np.array(options.lever_arm_m) / sigma).tolist()
+            continue
+        assert options.odometer_scale_sigma == declared.scale_sigma
+        assert options.direction_noise_deg * DEG == pytest.approx(declared.direction_sigma)
+        lever = np.array(options.odometer_lever_arm_m) - declared.lever_arm
+        drawn["lever"] += (lever / declared.lever_arm_sigma).tolist()
+        mounting = np.array(options.mounting_rpy_deg[1:]) * DEG
+        drawn["mounting"] += (mounting / declared.mounting_sigma).tolist()
+        drawn["latency"].append(options.odometer_latency_s / declared.latency_sigma)
+    for name, ratios in drawn.items():
+        check = mean_square_check(name, np.square(ratios).tolist(), 1)
+        assert check.kept, check
 
 
 def still(**changes: Any) -> Plan:

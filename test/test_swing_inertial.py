@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from evidence.monte_carlo import Outcome, misalignment_of, monte_carlo
+from evidence.monte_carlo import Outcome, misalignment_of, monte_carlo, run
 from sins_align.config import swing_config
+from sins_align.grades import load_grade
 from sins_align.ros.bags import open_bag
 from sins_align.rotation import dcm_from_quaternion, heading_from_yaw, rpy_from_dcm
 from sins_align.session import Session
-from sins_align.simulate import SCENARIOS, SwingOptions, simulate_swing
+from sins_align.simulate import SCENARIOS, SwingOptions, simulate_swing, swing
+from sins_align.simulate.sensors import SensorErrors
 from sins_align.types import ImuSamples, State
 from sins_align.units import ARCMIN, ARCSEC, DEG
 
@@ -53,6 +55,32 @@ def test_reaches_the_bound_on_a_rigid_centre(rigid: list[Outcome]) -> None:
     assert phi[:2].max() < 6e-6 * DEG
     assert phi[2] < 4e-4 * DEG
     assert lever.max() < 10.0 * MICROMETRE
+
+
+@pytest.mark.parametrize(
+    ("scenario", "grade"), [("still", "rlg"), ("pitch", "rlg"), ("erect", "fog_noisy")]
+)
+def test_sigma_of_the_levels_is_what_the_biases_do(
+    scenario: str, grade: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One axis after the other off by its declared sigma, and nothing else wrong.
+
+    The squares of what that does to the levels add up to P, with no luck of a draw in it.
+    """
+    options = SwingOptions(
+        scenario=scenario, grade="perfect", rate_hz=50.0, duration_s=61.0, heading_deg=20.0
+    )
+    total, P = np.zeros((3, 3)), np.eye(3)
+    for axis in np.eye(3):
+        errors = SensorErrors(
+            np.zeros(3), load_grade(grade).accel_bias * axis, np.eye(3), np.eye(3)
+        )
+        monkeypatch.setattr(swing, "draw_sensor_errors", lambda *_, errors=errors: errors)
+        outcome = run(options, {"imu_grade": grade})
+        total += np.outer(outcome.misalignment, outcome.misalignment)
+        P = outcome.covariance
+    ratio = np.linalg.solve(P[:2, :2], total[:2, :2])
+    np.testing.assert_allclose(ratio, np.eye(2), atol=0.02)
 
 
 def test_sigma_is_that_of_theory(rigid: list[Outcome]) -> None:
