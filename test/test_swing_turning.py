@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from sins_align.config import swing_config
-from sins_align.grades import load_grade
+from sins_align.grades import ImuGrade, load_grade
 from sins_align.limits import latitude_differs
 from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
@@ -51,8 +52,8 @@ def epochs_of(heading: Law, latitude: float, end_s: float, tilts: bool = False) 
     return SimpleNamespace(time_s=t, C=C, B=0.25 * (C[1:] + C[:-1]))
 
 
-def turn_of(epochs: Any, given: float, noise: float = RLG.gyro_arw) -> Turning:
-    found = turning(epochs, np.eye(3), given, noise)
+def turn_of(epochs: Any, given: float, grade: ImuGrade = RLG) -> Turning:
+    found = turning(epochs, np.eye(3), given, grade)
     assert found is not None
     return found
 
@@ -97,11 +98,42 @@ def test_sigma_of_noise_is_honest(end_s: float) -> None:
     for _ in range(count):
         steps = noise * math.sqrt(0.5) * stream.standard_normal(round(2 * end_s))
         walk = np.concatenate(([0.0], np.cumsum(steps)))
-        found = turn_of(epochs_of(lambda t, walk=walk: walk, 0.3, end_s), 0.3, noise)
+        found = turn_of(
+            epochs_of(lambda t, walk=walk: walk, 0.3, end_s), 0.3, ImuGrade(gyro_arw=noise)
+        )
         squares.append((found.excess / found.sigma) ** 2)
     low, high = (float(chi2.ppf(p, count)) / count for p in (1e-4, 1.0 - 1e-4))
     # What noise makes the parts differ by is left out below twice its size, now and then it is not.
     assert 0.8 * low < np.mean(squares) < high
+
+
+def test_a_cone_turns_scale_errors_into_a_rate() -> None:
+    """sigma is that of many draws of M, each of them carried on by gyros that have it."""
+    rate, cone, t = math.tau / 8.0, 10.0 * DEG, np.arange(240 * 40 + 1) / 40.0
+    axis = np.stack((np.sin(rate * t), np.cos(rate * t), np.zeros_like(t)), axis=1)
+    true = Rotation.from_rotvec(cone * axis)
+    steps = (true[:-1].inv() * true[1:]).as_rotvec()
+    grade = replace(RLG, gyro_arw=0.0, gyro_scale=2e-5, misalignment=1e-5)
+    stream, found = np.random.default_rng(3), []
+    for _ in range(40):
+        M = grade.misalignment * stream.standard_normal((3, 3))
+        np.fill_diagonal(M, grade.gyro_scale * stream.standard_normal(3))
+        C = true[0].as_matrix()
+        carried = [C]
+        for step in Rotation.from_rotvec(steps + steps @ M.T).as_matrix():
+            C = C @ step
+            carried.append(C)
+        C = np.array(carried)[::20]
+        earth = Rotation.from_rotvec(EARTH * t[::20, None] * np.array([0.0, 1.0, 0.0]))
+        C = earth.as_matrix() @ C
+        found.append(
+            turn_of(SimpleNamespace(time_s=t[::20], C=C, B=0.25 * (C[1:] + C[:-1])), 0, grade)
+        )
+    sigma = np.mean([f.sigma for f in found])
+    low, high = (float(chi2.ppf(p, 40)) / 40 for p in (1e-4, 1.0 - 1e-4))
+    assert low < np.mean([f.excess**2 for f in found]) / sigma**2 < high
+    still = turn_of(epochs_of(np.zeros_like, 0.0, 240.0), 0.0, grade)
+    assert sigma > 5.0 * still.sigma
 
 
 def test_only_the_last_minutes_count() -> None:
@@ -111,7 +143,7 @@ def test_only_the_last_minutes_count() -> None:
     within = epochs_of(lambda t: 90.0 * DEG * np.clip(t / 20.0 - 5.0, 0.0, 1.0), 0.1, 250.0)
     found = turn_of(within, 0.1)
     assert abs(found.excess) < 3.0 * found.sigma
-    assert turning(epochs_of(np.zeros_like, 0.1, 30.0), np.eye(3), 0.1, 1e-7) is None
+    assert turning(epochs_of(np.zeros_like, 0.1, 30.0), np.eye(3), 0.1, RLG) is None
 
 
 @pytest.mark.parametrize("grade", ["rlg", "fog"])
@@ -124,8 +156,8 @@ def test_a_base_that_yaws_by_degrees_is_not_another_latitude(grade: str, period_
             lambda t, p=phase: 2.0 * DEG * np.sin(math.tau * t / period_s + p), 0.0, 400
         )
         for end in (80, 120, 200, 300, 450, 600, 800):
-            part = SimpleNamespace(time_s=yaw.time_s[: end + 1], B=yaw.B[:end])
-            found = turn_of(part, 0.0, load_grade(grade).gyro_arw)
+            part = SimpleNamespace(time_s=yaw.time_s[: end + 1], B=yaw.B[:end], C=yaw.C[: end + 1])
+            found = turn_of(part, 0.0, load_grade(grade))
             latitude = latitude_of_turning(found, 0.0, bias)
             assert latitude is None or not latitude_differs(0.0, latitude)
             assert turning_doubts(found, bias) == ()

@@ -55,7 +55,6 @@ class Checks:
     def __init__(self, gravity: GravityModel, noise: NoiseModel, grade: ImuGrade) -> None:
         self._gravity, self._grade = gravity, grade
         self._bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
-        self._gyro_noise = noise.gyro
         self._has_told_latitude = False
         self._fit = VelocityFit(gravity, noise)
         self._steadiness = Steadiness()
@@ -85,7 +84,7 @@ class Checks:
             solution, solver.prior, epochs, heading_variance, filter_.noise.variance
         )
         given = self._gravity.latitude
-        turn = turning(epochs, solution.R, given, self._gyro_noise)
+        turn = turning(epochs, solution.R, given, self._grade)
         by_turning = latitude_of_turning(turn, given, self._bias)
         own, by_data = None, np.zeros(3)
         column = latitude_column(solution, given)

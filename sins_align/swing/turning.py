@@ -18,9 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.earth import EARTH_RATE, earth_rate_n
+from sins_align.grades import ImuGrade
 from sins_align.latitudes import latitude_of_rate
 from sins_align.reasons import BIAS_BEYOND, Finding
-from sins_align.rotation import rotations_about
+from sins_align.rotation import rotations_about, unskew
 from sins_align.swing.epochs import Epochs
 from sins_align.types import Array, LatitudeEstimate
 
@@ -52,13 +53,12 @@ class Turning(NamedTuple):
     sigma: float
 
 
-def turning(epochs: Epochs, R: Array, latitude: float, gyro_noise: float) -> Turning | None:
+def turning(epochs: Epochs, R: Array, latitude: float, grade: ImuGrade) -> Turning | None:
     """The turn of the last five minutes; None before there is enough.
 
     Parameters
     ----------
     R : (3, 3) columns east, north, up at t = 0 in b0; latitude : given [rad]
-    gyro_noise : [rad/sqrt(s)]
     """
     nodes_s = epochs.time_s
     first = int(np.searchsorted(nodes_s, nodes_s[-1] - WINDOW_S))
@@ -75,9 +75,22 @@ def turning(epochs: Epochs, R: Array, latitude: float, gyro_noise: float) -> Tur
     weights = square * square * square
     whole, *parts = ((weights @ np.diff(heading)) / (weights @ np.diff(t))).tolist()
     apart = sum((part - sum(parts) / 3.0) ** 2 for part in parts)
-    noise = gyro_noise**2 / T
+    noise = grade.gyro_arw**2 / T
     apart = max(apart - SEEN**2 * NOISE_APART * noise, 0.0)
-    return Turning(whole, math.sqrt(NOISE * noise + SLOWNESS**2 * apart + (2.0 * CREEP / T) ** 2))
+    variance = NOISE * noise + SLOWNESS**2 * apart + (2.0 * CREEP / T) ** 2
+    if max(grade.gyro_scale, grade.misalignment) > 0.0:
+        variance += _rectified(epochs, first, R[:, 2], grade)
+    return Turning(whole, math.sqrt(variance))
+
+
+def _rectified(epochs: Epochs, first: int, up_b0: Array, grade: ImuGrade) -> float:
+    """Variance of up . C M w, of a base that cones, by scale errors and misalignments M."""
+    C, T = epochs.C[first:], float(epochs.time_s[-1] - epochs.time_s[first])
+    turned = unskew(C[:-1].transpose(0, 2, 1) @ C[1:])
+    up_b = up_b0 @ (0.5 * (C[:-1] + C[1:]))
+    sigma = np.full((3, 3), grade.misalignment)
+    np.fill_diagonal(sigma, grade.gyro_scale)
+    return float(((sigma * (up_b.T @ turned) / T) ** 2).sum())
 
 
 def latitude_of_turning(
