@@ -250,3 +250,22 @@ def test_the_session_doubts_a_gyro_that_turns_about_up() -> None:
     assert session.status.state is not State.ALIGNED
     assert "bias_beyond" in session.status.keys
     assert "gyro bias about up" in session.status.reason
+
+
+def test_the_time_to_go_waits_for_the_latitude() -> None:
+    """A level swing at the equator: what is foreseen after a minute, against what came."""
+    options = SwingOptions(
+        scenario="level", grade="rlg", seed=1, rate_hz=100.0, duration_s=200.0, latitude_deg=0.0
+    )
+    imu = simulate_swing(options).imu
+    config = {"latitude_deg": 0.0, "altitude_m": 50.0, "imu_grade": "rlg"}
+    waits, off = (Session(swing_config({**config, "latitude_check": c})) for c in ("warn", "off"))
+    foreseen = []
+    for session in (waits, off):
+        session.add_imu(imu.select(slice(0, 5501)))
+        foreseen.append(55.0 + session.eta_s)
+        session.add_imu(imu.select(slice(5501, None)))
+    came = [session.status.aligned_at_s for session in (waits, off)]
+    assert came[0] is not None and came[1] is not None
+    assert came[1] + 40.0 < came[0]
+    assert foreseen == pytest.approx(came, rel=0.2)

@@ -17,6 +17,7 @@ from sins_align.swing.latitude import (
     latitude_by_both,
     latitude_column,
     latitude_doubts,
+    told_after,
 )
 from sins_align.swing.solution import KAPPA, Solution, Solver
 from sins_align.swing.steadiness import Steadiness
@@ -34,6 +35,7 @@ class Report(NamedTuple):
     moved : (3,) what the attitude at the last epoch would turn by with the latitude of the data,
         where that is not the one given, in n [rad]; else None
     doubts : what the latitude, and a turn about up, have a claim wait for
+    untold_s : how much later the latitude will be told at the equator [s]
     """
 
     witness: Witness | None
@@ -41,6 +43,7 @@ class Report(NamedTuple):
     latitude: LatitudeEstimate | None
     moved: Array | None
     doubts: tuple[Finding, ...] = ()
+    untold_s: float = 0.0
 
 
 class Checks:
@@ -103,4 +106,7 @@ class Checks:
         doubts = latitude_doubts(self._grade, given, latitude, self._has_told_latitude, time_s)
         self._has_told_latitude |= latitude is not None and not doubts and is_told(latitude)
         doubts += turning_doubts(turn, self._bias)
-        return Report(witness, self._steadiness.value, latitude, moved, doubts)
+        untold_s = 0.0
+        if latitude is not None and not self._has_told_latitude:
+            untold_s = told_after(self._grade, given, latitude, time_s)
+        return Report(witness, self._steadiness.value, latitude, moved, doubts, untold_s)

@@ -33,8 +33,10 @@ LEAST_SIN_COS = 0.01
 # noise allow it to be smaller yet.
 TOLD_ERROR = 1.0 * DEG
 TOLD_RATIO, SOON_RATIO, SOON_S = 6.0, 9.0, 120.0
-# A base that still turns about up by more than that after so long is not waited for [s].
+# A base whose swing still hides that from the rate about up is not waited for any longer [s].
 SWAYING_S = 200.0
+# What it hides falls like the time to the power of -7 in the long run, and to this one before.
+FALL = 8.5
 
 
 def earth_rate_slope(latitude: float) -> Array:
@@ -74,6 +76,32 @@ def is_told(own: LatitudeEstimate) -> bool:
     return TOLD_RATIO * own.sigma <= TOLD_ERROR
 
 
+def told_after(grade: ImuGrade, given: float, own: LatitudeEstimate, sways_s: float) -> float:
+    """How much later the rate about up will tell, where it has to and gravity does not [s].
+
+    What is left of a swing (`turning`) falls like a power of the time.
+    """
+    if _is_due(grade, abs(math.sin(given))) or not _is_waited_for(grade, sways_s):
+        return 0.0
+    later = (TOLD_RATIO * own.sigma / TOLD_ERROR) ** (1.0 / FALL)
+    return max(min(later * sways_s, SWAYING_S) - sways_s, 0.0)
+
+
+def _is_due(grade: ImuGrade, slope: float) -> bool:
+    """Whether bias and noise of the gyros will soon allow a degree to show.
+
+    slope : of the rate that tells it, over the Earth's: sin L of gravity's turn, cos L of that
+        about up
+    """
+    bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability, grade.gyro_arw * SOON_S**-0.5)
+    return is_navigation_grade(grade) and bias < TOLD_ERROR / SOON_RATIO * EARTH_RATE * slope
+
+
+def _is_waited_for(grade: ImuGrade, sways_s: float) -> bool:
+    """Whether the rate about up, of a base that does not turn, may tell where gravity does not."""
+    return sways_s < SWAYING_S and _is_due(grade, 1.0)
+
+
 def latitude_doubts(
     grade: ImuGrade,
     given: float,
@@ -88,12 +116,8 @@ def latitude_doubts(
     """
     if own is None:
         return ()
-    bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability, grade.gyro_arw * SOON_S**-0.5)
-    # Of a base that sways and does not turn, the rate about up will tell where gravity does not.
-    slope = 1.0 if sways_s < SWAYING_S else abs(math.sin(given))
-    most = TOLD_ERROR / SOON_RATIO * EARTH_RATE * slope
-    is_due = is_navigation_grade(grade) and bias < most and not was_told
-    if is_due and not is_told(own):
+    is_due = _is_due(grade, abs(math.sin(given))) or _is_waited_for(grade, sways_s)
+    if is_due and not was_told and not is_told(own):
         needed = TOLD_ERROR / TOLD_RATIO / DEG
         return (LATITUDE_UNPROVEN(sigma_deg=own.sigma / DEG, most_deg=needed),)
     ratio = abs(own.latitude - given) / own.sigma
