@@ -252,13 +252,19 @@ def test_the_session_doubts_a_gyro_that_turns_about_up() -> None:
     assert "gyro bias about up" in session.status.reason
 
 
-def test_the_time_to_go_waits_for_the_latitude() -> None:
-    """A level swing at the equator: what is foreseen after a minute, against what came."""
+@pytest.mark.parametrize("latitude_deg", [0.0, -5.0])
+def test_the_time_to_go_waits_for_the_latitude(latitude_deg: float) -> None:
+    """A level swing near the equator: what is foreseen after a minute, against what came."""
     options = SwingOptions(
-        scenario="level", grade="rlg", seed=1, rate_hz=100.0, duration_s=200.0, latitude_deg=0.0
+        scenario="level",
+        grade="rlg",
+        seed=1,
+        rate_hz=100.0,
+        duration_s=200.0,
+        latitude_deg=latitude_deg,
     )
     imu = simulate_swing(options).imu
-    config = {"latitude_deg": 0.0, "altitude_m": 50.0, "imu_grade": "rlg"}
+    config = {"latitude_deg": latitude_deg, "altitude_m": 50.0, "imu_grade": "rlg"}
     waits, off = (Session(swing_config({**config, "latitude_check": c})) for c in ("warn", "off"))
     foreseen = []
     for session in (waits, off):

@@ -107,6 +107,6 @@ class Checks:
         self._has_told_latitude |= latitude is not None and not doubts and is_told(latitude)
         doubts += turning_doubts(turn, self._bias)
         untold_s = 0.0
-        if latitude is not None and not self._has_told_latitude:
-            untold_s = told_after(self._grade, given, latitude, time_s)
+        if by_turning is not None and not self._has_told_latitude:
+            untold_s = told_after(self._grade, given, by_turning, time_s)
         return Report(witness, self._steadiness.value, latitude, moved, doubts, untold_s)

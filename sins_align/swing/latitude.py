@@ -76,14 +76,14 @@ def is_told(own: LatitudeEstimate) -> bool:
     return TOLD_RATIO * own.sigma <= TOLD_ERROR
 
 
-def told_after(grade: ImuGrade, given: float, own: LatitudeEstimate, sways_s: float) -> float:
+def told_after(grade: ImuGrade, given: float, turn: LatitudeEstimate, sways_s: float) -> float:
     """How much later the rate about up will tell, where it has to and gravity does not [s].
 
-    What is left of a swing (`turning`) falls like a power of the time.
+    What is left of a swing falls like a power of the time. turn : by that rate, so far
     """
     if _is_due(grade, abs(math.sin(given))) or not _is_waited_for(grade, sways_s):
         return 0.0
-    later = (TOLD_RATIO * own.sigma / TOLD_ERROR) ** (1.0 / FALL)
+    later = (TOLD_RATIO * turn.sigma / TOLD_ERROR) ** (1.0 / FALL)
     return max(min(later * sways_s, SWAYING_S) - sways_s, 0.0)
 
 
