@@ -1,4 +1,4 @@
-"""What speaks for a solution besides its covariance: three tests on the same epochs."""
+"""What speaks for a solution besides its covariance: tests on the same epochs."""
 
 from __future__ import annotations
 
