@@ -27,8 +27,7 @@ LEAST_ETA = 0.8
 CONFIDENCE = 0.99
 # Of the latitude: how long a run lasts, how wrong it is, and right runs for each wrong one.
 LATITUDE_S, WRONG_DEG, RIGHT_RUNS = 300.0, 1.0, 10.0 / 3.0
-# Nearer to the equator a gyro bias of 0.003 deg/h hides a degree: sigma_b / (Omega sin L).
-LATITUDES_DEG = (10.0, 65.0)
+LATITUDES_DEG = (0.0, 65.0)
 
 
 def run_number(node: str, number: int) -> Record:

@@ -187,7 +187,8 @@ LATITUDE_WRONG = Reason(
     Kind.FAULT,
     "the latitude is {given_deg:.3f} deg, and by the IMU it is {found_deg:.3f} deg"
     " (sigma {sigma_deg:.3f})",
-    "check latitude_deg or the fix; if they are right, a gyro's bias is far beyond imu_grade",
+    "check latitude_deg or the fix; if they are right, a gyro's bias is far beyond imu_grade, or"
+    " the base turns slowly about up",
     "With latitude_check: fail. Ends when the two agree, after a restart with the right one.",
 )
 
@@ -366,7 +367,8 @@ LATITUDE_DIFFERS = Reason(
     Kind.NOTE,
     "the latitude is {given_deg:.3f} deg, and by the IMU it is {found_deg:.3f} deg"
     " (sigma {sigma_deg:.3f})",
-    "check latitude_deg or the fix; if they are right, a gyro's bias is far beyond imu_grade",
+    "check latitude_deg or the fix; if they are right, a gyro's bias is far beyond imu_grade, or"
+    " the base turns slowly about up",
     "With latitude_check: warn; what it may do to the attitude is in its covariance."
     " Ends when the two agree.",
 )
@@ -384,8 +386,8 @@ LATITUDE_UNPROVEN = Reason(
     "by the IMU the latitude is known to {sigma_deg:.2f} deg yet, {most_deg:.2f} deg are needed to"
     " see whether it was given right",
     "",
-    "With gyros of navigation grade, 0.01 deg/h or better, and noise to match; near the equator not"
-    " even with them. Ends within two minutes or so, or with latitude_check: off.",
+    "With gyros of navigation grade, 0.01 deg/h or better, and noise to match. Ends within two"
+    " minutes or so, near the equator on a large swing within 200 s; or with latitude_check: off.",
     "swing",
 )
 LATITUDE_DOUBTED = Reason(

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from odo_sessions import align, vehicle
 
+from sins_align.latitudes import combine_latitudes
 from sins_align.odo.epoch import integrate_epoch
 from sins_align.odo.latitude import LengthError, latitude_of_axis, latitude_of_length
 from sins_align.odo.pairing import Paired
-from sins_align.odo.standing_latitude import StandingLatitude, combine_latitudes
+from sins_align.odo.standing_latitude import StandingLatitude
 from sins_align.types import ImuBlock, LatitudeEstimate, State
 from sins_align.units import DEG
 

@@ -133,9 +133,11 @@ def test_the_method_gives_it() -> None:
     assert abs(off) < 4.0 * estimate.latitude.sigma < 0.2 * DEG
 
 
-def test_at_the_equator_the_method_gives_none() -> None:
+def test_at_the_equator_the_method_gives_it_too() -> None:
+    """By the rate about up."""
     estimate = run_session(0.0).estimate
-    assert estimate is not None and estimate.latitude is None
+    assert estimate is not None and estimate.latitude is not None
+    assert abs(estimate.latitude.latitude) < 4.0 * estimate.latitude.sigma < 0.2 * DEG
 
 
 def test_a_wrong_latitude_is_in_the_covariance() -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 from sins_align.config import OdoConfig
+from sins_align.latitudes import combine_latitudes
 from sins_align.limits import DOUBTED_LATITUDE_RATIO, MAX_LATITUDE_RATIO
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.imu_model import imu_noise
 from sins_align.odo.loudness import Loudness
 from sins_align.odo.plausibility import OdometerPlausibility
-from sins_align.odo.standing_latitude import StandingLatitude, combine_latitudes
+from sins_align.odo.standing_latitude import StandingLatitude
 from sins_align.odo.wander import WanderFilter
 from sins_align.reasons import LATITUDE_DOUBTED, ODOMETER_SILENT, Finding
 from sins_align.rotation import dcm_from_rpy

@@ -13,6 +13,7 @@ import numpy as np
 
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
+from sins_align.latitudes import latitude_of_rate
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.rotation import unskew3
 from sins_align.types import LatitudeEstimate
@@ -25,9 +26,6 @@ ROCKING_S, CREEP = 20.0, 2e-6
 # Who gets in or out tilts it by more than this [rad], and may turn it for good; in sigma of the
 # accelerometers' noise likewise.
 LEAST_TILT, TILT_RATIO = 3e-4, 6.0
-LEAST_SLOPE = 1e-3
-# Two latitudes that are further apart, over the sigma of both, are not of one place.
-MOST_APART = 5.0
 
 
 class StandingLatitude:
@@ -91,33 +89,4 @@ class StandingLatitude:
             2.0 * math.sqrt(2.0) * rocking * ROCKING_S**2 / T**3,
             2.0 * CREEP / T,
         )
-        return _latitude_of_rate(excess, sigma, self._given)
-
-
-def _latitude_of_rate(excess: float, sigma: float, given: float) -> LatitudeEstimate:
-    """Of the rate about up, by how much it exceeds that at the latitude given [rad/s].
-
-    As of the length, the slope is that of the chord.
-    """
-    latitude = math.asin(min(max(math.sin(given) + excess / EARTH_RATE, -1.0), 1.0))
-    half = 0.5 * (latitude - given)
-    slope = math.cos(0.5 * (latitude + given)) * float(np.sinc(half / math.pi))
-    return LatitudeEstimate(latitude, sigma / (EARTH_RATE * max(slope, LEAST_SLOPE)))
-
-
-def combine_latitudes(
-    own: LatitudeEstimate | None, standing: LatitudeEstimate | None
-) -> LatitudeEstimate | None:
-    """Of two that have nothing to do with each other; own : by the length of the horizontal part.
-
-    Where they contradict each other the hemisphere may be the other one, of which `own` knows
-    nothing: the mean would be neither.
-    """
-    if own is None or standing is None:
-        return own if standing is None else standing
-    apart = math.hypot(own.sigma, standing.sigma)
-    if abs(own.latitude - standing.latitude) > MOST_APART * apart:
-        return standing
-    a, b = own.sigma**-2, standing.sigma**-2
-    latitude = (a * own.latitude + b * standing.latitude) / (a + b)
-    return LatitudeEstimate(latitude, 1.0 / math.sqrt(a + b))
+        return latitude_of_rate(excess, sigma, self._given)

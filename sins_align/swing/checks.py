@@ -1,16 +1,27 @@
-"""What speaks for a solution besides its covariance: three tests on the same epochs."""
+"""What speaks for a solution besides its covariance: tests on the same epochs."""
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
+
+import numpy as np
 
 from sins_align.grades import ImuGrade
 from sins_align.limits import latitude_differs
 from sins_align.reasons import Finding
 from sins_align.swing.epochs import Epochs
-from sins_align.swing.latitude import earth_rate_slope, latitude_column, latitude_doubts
+from sins_align.swing.latitude import (
+    earth_rate_slope,
+    is_told,
+    latitude_by_both,
+    latitude_column,
+    latitude_doubts,
+    told_after,
+)
 from sins_align.swing.solution import KAPPA, Solution, Solver
 from sins_align.swing.steadiness import Steadiness
+from sins_align.swing.turning import latitude_of_turning, turning, turning_doubts
 from sins_align.swing.two_stage import PHI, GravityModel, NoiseModel
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.swing.velocity_fit import VelocityFit
@@ -23,7 +34,8 @@ class Report(NamedTuple):
     witness, steadiness, latitude : see `Estimate`
     moved : (3,) what the attitude at the last epoch would turn by with the latitude of the data,
         where that is not the one given, in n [rad]; else None
-    doubts : what the latitude has a claim wait for
+    doubts : what the latitude, and a turn about up, have a claim wait for
+    untold_s : how much later the latitude will be told at the equator [s]
     """
 
     witness: Witness | None
@@ -31,6 +43,7 @@ class Report(NamedTuple):
     latitude: LatitudeEstimate | None
     moved: Array | None
     doubts: tuple[Finding, ...] = ()
+    untold_s: float = 0.0
 
 
 class Checks:
@@ -44,6 +57,7 @@ class Checks:
 
     def __init__(self, gravity: GravityModel, noise: NoiseModel, grade: ImuGrade) -> None:
         self._gravity, self._grade = gravity, grade
+        self._bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability)
         self._has_told_latitude = False
         self._fit = VelocityFit(gravity, noise)
         self._steadiness = Steadiness()
@@ -72,17 +86,27 @@ class Checks:
         witness = self._fit.compare(
             solution, solver.prior, epochs, heading_variance, filter_.noise.variance
         )
-        latitude, moved = None, None
         given = self._gravity.latitude
+        turn = turning(epochs, solution.R, given, self._grade)
+        by_turning = latitude_of_turning(turn, given, self._bias)
+        own, by_data = None, np.zeros(3)
         column = latitude_column(solution, given)
         if column is not None:
             off, sigma, response = solver.score(filter_.normal, solution, column)
-            latitude = LatitudeEstimate(given + off, sigma)
-            if latitude_differs(given, latitude):
-                # (I + [phi x]) C^ and Exp(-w_ie t) R^T both change.
-                phi = filter_.X[PHI, :-1] @ (solution.jacobian @ response + column)
-                turned = earth_rate_slope(given) * float(epochs.time_s[-1])
-                moved = off * (C_nb0 @ (phi - response[KAPPA]) - turned)
-        doubts = latitude_doubts(self._grade, given, latitude, self._has_told_latitude)
-        self._has_told_latitude |= not doubts
-        return Report(witness, self._steadiness.value, latitude, moved, doubts)
+            own = LatitudeEstimate(given + off, sigma)
+            # (I + [phi x]) C^ and Exp(-w_ie t) R^T both change.
+            phi = filter_.X[PHI, :-1] @ (solution.jacobian @ response + column)
+            by_data = C_nb0 @ (phi - response[KAPPA])
+        latitude = latitude_by_both(own, by_turning)
+        moved = None
+        if latitude is not None and latitude_differs(given, latitude):
+            turned = earth_rate_slope(given) * float(epochs.time_s[-1])
+            moved = (latitude.latitude - given) * (by_data - turned)
+        time_s = float(epochs.time_s[-1]) if by_turning is not None else math.inf
+        doubts = latitude_doubts(self._grade, given, latitude, self._has_told_latitude, time_s)
+        self._has_told_latitude |= latitude is not None and not doubts and is_told(latitude)
+        doubts += turning_doubts(turn, self._bias)
+        untold_s = 0.0
+        if by_turning is not None and not self._has_told_latitude:
+            untold_s = told_after(self._grade, given, by_turning, time_s)
+        return Report(witness, self._steadiness.value, latitude, moved, doubts, untold_s)

@@ -150,16 +150,23 @@ class InertialAligner:
 
     def foresee(self, heading: float) -> float:
         """See `Aligner`."""
+        untold_s = 0.0
+        if self._outcome is not None and self._config.latitude_check != "off":
+            untold_s = self._outcome.report.untold_s
+        ahead_s = max(self._heading_ahead_s(heading), untold_s)
+        return max(ahead_s - self._since_cycle_s, 0.0)
+
+    def _heading_ahead_s(self, heading: float) -> float:
+        """From the end of the last cycle."""
         if self._estimate is not None and self._estimate.sigma[2] < heading:
             return 0.0
         found = self._found
         if found.solution is None or found.about is None:
             return math.nan
-        ahead_s = time_to(
+        return time_to(
             heading, found.filter, found.epochs, found.about, self._gravity, found.noise,
             found.heading_sigma,
         )  # fmt: skip
-        return max(ahead_s - self._since_cycle_s, 0.0)
 
     def next_step(self, ahead_s: float) -> float:
         """See `Aligner`: an estimate is made at the end of a cycle."""

@@ -7,7 +7,7 @@ to first order, that of the model with
 
 in place of R_e, R_n, R_u; s, c = sin L, cos L. So one more column of theta's Jacobian tells it,
 from the sums that are there already. sigma_L is about sigma_bg / (Omega sin L) at least: at the
-equator the latitude is unobservable.
+equator it is the rate about up that tells the latitude, of a base that does not turn (`turning`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from sins_align.earth import EARTH_RATE
 from sins_align.grades import ImuGrade
+from sins_align.latitudes import are_of_one_place, mean_latitude
 from sins_align.limits import DOUBTED_LATITUDE_RATIO, is_navigation_grade
 from sins_align.reasons import LATITUDE_DOUBTED, LATITUDE_UNPROVEN, Finding
 from sins_align.swing.solution import X_G, Solution
@@ -32,6 +33,10 @@ LEAST_SIN_COS = 0.01
 # noise allow it to be smaller yet.
 TOLD_ERROR = 1.0 * DEG
 TOLD_RATIO, SOON_RATIO, SOON_S = 6.0, 9.0, 120.0
+# A base whose swing still hides that from the rate about up is not waited for any longer [s].
+SWAYING_S = 200.0
+# What it hides falls like the time to the power of -7 in the long run, and to this one before.
+FALL = 8.5
 
 
 def earth_rate_slope(latitude: float) -> Array:
@@ -51,19 +56,68 @@ def latitude_column(solution: Solution, latitude: float) -> Array | None:
     return column
 
 
+def latitude_by_both(
+    own: LatitudeEstimate | None, turn: LatitudeEstimate | None
+) -> LatitudeEstimate | None:
+    """By gravity, and by the rate about up.
+
+    Gravity knows little of the hemisphere. Where they contradict each other in either one, the base
+    turns about up.
+    """
+    if own is None or turn is None:
+        return own if turn is None else turn
+    other = own._replace(latitude=-own.latitude)
+    places = [place for place in (own, other) if are_of_one_place(place, turn)]
+    return mean_latitude(places[0], turn) if places else own
+
+
+def is_told(own: LatitudeEstimate) -> bool:
+    """Whether an error of a degree would show."""
+    return TOLD_RATIO * own.sigma <= TOLD_ERROR
+
+
+def told_after(grade: ImuGrade, given: float, turn: LatitudeEstimate, sways_s: float) -> float:
+    """How much later the rate about up will tell, where it has to and gravity does not [s].
+
+    What is left of a swing falls like a power of the time. turn : by that rate, so far
+    """
+    if _is_due(grade, abs(math.sin(given))) or not _is_waited_for(grade, sways_s):
+        return 0.0
+    later = (TOLD_RATIO * turn.sigma / TOLD_ERROR) ** (1.0 / FALL)
+    return max(min(later * sways_s, SWAYING_S) - sways_s, 0.0)
+
+
+def _is_due(grade: ImuGrade, slope: float) -> bool:
+    """Whether bias and noise of the gyros will soon allow a degree to show.
+
+    slope : of the rate that tells it, over the Earth's: sin L of gravity's turn, cos L of that
+        about up
+    """
+    bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability, grade.gyro_arw * SOON_S**-0.5)
+    return is_navigation_grade(grade) and bias < TOLD_ERROR / SOON_RATIO * EARTH_RATE * slope
+
+
+def _is_waited_for(grade: ImuGrade, sways_s: float) -> bool:
+    """Whether the rate about up, of a base that does not turn, may tell where gravity does not."""
+    return sways_s < SWAYING_S and _is_due(grade, 1.0)
+
+
 def latitude_doubts(
-    grade: ImuGrade, given: float, own: LatitudeEstimate | None, was_told: bool = False
+    grade: ImuGrade,
+    given: float,
+    own: LatitudeEstimate | None,
+    was_told: bool = False,
+    sways_s: float = math.inf,
 ) -> tuple[Finding, ...]:
     """What an alignment with the latitude `given` [rad] has to wait for.
 
     own : the latitude of the data; was_told : whether they have told it before
+    sways_s : for how long the base has not turned about up [s]; inf: it does
     """
     if own is None:
         return ()
-    bias = math.hypot(grade.gyro_bias, grade.gyro_bias_instability, grade.gyro_arw * SOON_S**-0.5)
-    most = TOLD_ERROR / SOON_RATIO * EARTH_RATE * abs(math.sin(given))
-    is_due = is_navigation_grade(grade) and bias < most and not was_told
-    if is_due and TOLD_RATIO * own.sigma > TOLD_ERROR:
+    is_due = _is_due(grade, abs(math.sin(given))) or _is_waited_for(grade, sways_s)
+    if is_due and not was_told and not is_told(own):
         needed = TOLD_ERROR / TOLD_RATIO / DEG
         return (LATITUDE_UNPROVEN(sigma_deg=own.sigma / DEG, most_deg=needed),)
     ratio = abs(own.latitude - given) / own.sigma
