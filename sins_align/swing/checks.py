@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.grades import ImuGrade
-from sins_align.limits import latitude_differs
+from sins_align.limits import is_navigation_grade, latitude_differs
 from sins_align.reasons import Finding
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.latitude import (
@@ -21,7 +21,7 @@ from sins_align.swing.latitude import (
 )
 from sins_align.swing.solution import KAPPA, Solution, Solver
 from sins_align.swing.steadiness import Steadiness
-from sins_align.swing.turning import latitude_of_turning, turning, turning_doubts
+from sins_align.swing.turning import latitude_of_turning, turning
 from sins_align.swing.two_stage import PHI, GravityModel, NoiseModel
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.swing.velocity_fit import VelocityFit
@@ -34,7 +34,7 @@ class Report(NamedTuple):
     witness, steadiness, latitude : see `Estimate`
     moved : (3,) what the attitude at the last epoch would turn by with the latitude of the data,
         where that is not the one given, in n [rad]; else None
-    doubts : what the latitude, and a turn about up, have a claim wait for
+    doubts : what the latitude has a claim wait for
     untold_s : how much later the latitude will be told at the equator [s]
     """
 
@@ -87,8 +87,7 @@ class Checks:
             solution, solver.prior, epochs, heading_variance, filter_.noise.variance
         )
         given = self._gravity.latitude
-        turn = turning(epochs, solution.R, given, self._grade)
-        by_turning = latitude_of_turning(turn, given, self._bias)
+        by_turning = self._latitude_by_turning(epochs, solution)
         own, by_data = None, np.zeros(3)
         column = latitude_column(solution, given)
         if column is not None:
@@ -105,8 +104,15 @@ class Checks:
         time_s = float(epochs.time_s[-1]) if by_turning is not None else math.inf
         doubts = latitude_doubts(self._grade, given, latitude, self._has_told_latitude, time_s)
         self._has_told_latitude |= latitude is not None and not doubts and is_told(latitude)
-        doubts += turning_doubts(turn, self._bias)
         untold_s = 0.0
         if by_turning is not None and not self._has_told_latitude:
             untold_s = told_after(self._grade, given, by_turning, time_s)
         return Report(witness, self._steadiness.value, latitude, moved, doubts, untold_s)
+
+    def _latitude_by_turning(self, epochs: Epochs, solution: Solution) -> LatitudeEstimate | None:
+        """With gyros that tell a degree by it: a base that settles slowly would mislead others."""
+        if not is_navigation_grade(self._grade):
+            return None
+        given = self._gravity.latitude
+        turn = turning(epochs, solution.R, given, self._grade)
+        return latitude_of_turning(turn, given, self._bias)

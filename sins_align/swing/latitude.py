@@ -59,16 +59,17 @@ def latitude_column(solution: Solution, latitude: float) -> Array | None:
 def latitude_by_both(
     own: LatitudeEstimate | None, turn: LatitudeEstimate | None
 ) -> LatitudeEstimate | None:
-    """By gravity, and by the rate about up.
+    """By gravity, and by the rate about up, which counts for what gravity does not tell.
 
-    Gravity knows little of the hemisphere. Where they contradict each other in either one, the base
-    turns about up.
+    That is a latitude near the equator, and the hemisphere. Where they contradict each other in
+    either one, the base turns about up.
     """
     if own is None or turn is None:
         return own if turn is None else turn
+    if are_of_one_place(own, turn):
+        return own if is_told(own) else mean_latitude(own, turn)
     other = own._replace(latitude=-own.latitude)
-    places = [place for place in (own, other) if are_of_one_place(place, turn)]
-    return mean_latitude(places[0], turn) if places else own
+    return mean_latitude(other, turn) if are_of_one_place(other, turn) else own
 
 
 def is_told(own: LatitudeEstimate) -> bool:

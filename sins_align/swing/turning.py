@@ -5,9 +5,10 @@ carry on in axes of the Earth with a latitude L then does so at
 
     (sin L_true - sin L) Omega + b_U
 
-which tells at the equator what `latitude` cannot tell there, and the hemisphere; of the latitude
-known, the gyro bias about up. As it takes for granted what a moored ship does not keep to, it is
-good for doubts alone.
+which tells at the equator what `latitude` cannot tell there, and the hemisphere. As it takes for
+granted what a moored ship does not keep to, and no truck that settles on its springs does to a
+hundredth of a degree an hour, it is good for a doubt of the latitude alone, and not for one of the
+gyro bias.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ import numpy as np
 from sins_align.earth import EARTH_RATE, earth_rate_n
 from sins_align.grades import ImuGrade
 from sins_align.latitudes import latitude_of_rate
-from sins_align.reasons import BIAS_BEYOND, Finding
 from sins_align.rotation import rotations_about, unskew
 from sins_align.swing.epochs import Epochs
 from sins_align.types import Array, LatitudeEstimate
@@ -41,9 +41,6 @@ SLOWNESS, SEEN = 3.0, 2.0
 CREEP = 2e-6
 # A rate that no latitude explains, by so many sigma, is that of a base that turns.
 TURNS = 5.0
-# So rarely, by sigma, does a true bias about up look so large: one in a thousand. One of more than
-# so many times what is declared is the base's own turn.
-RARE, MOST_BIAS = 3.3, 30.0
 
 
 class Turning(NamedTuple):
@@ -107,16 +104,6 @@ def latitude_of_turning(
     if not abs(math.sin(latitude) + turn.excess / EARTH_RATE) < most:
         return None
     return latitude_of_rate(turn.excess, sigma, latitude)
-
-
-def turning_doubts(turn: Turning | None, bias: float) -> tuple[Finding, ...]:
-    """What is to be said of the gyro bias about up; bias : 1 sigma, as declared [rad/s]."""
-    if turn is None:
-        return ()
-    size = abs(turn.excess)
-    if not RARE * math.hypot(turn.sigma, bias) < size < MOST_BIAS * bias:
-        return ()
-    return (BIAS_BEYOND(what="gyro bias about up", ratio=size / bias),)
 
 
 def _about_up(turn: Array) -> Array:
