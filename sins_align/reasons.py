@@ -232,7 +232,7 @@ HEADING_COARSE = Reason(
     "heading is not known yet: {sigma}",
     "",
     "Heading comes with time. Nothing is given out before its sigma is below 3 deg (odo) or 20 deg"
-    " (swing).",
+    " (swing), nor while another heading, far off, fits the data too (swing).",
 )
 HEADING_UNOBSERVABLE = Reason(
     "heading_unobservable",

@@ -14,6 +14,7 @@ from sins_align.config import SwingConfig
 from sins_align.rotation import level_axes, log_rotation
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverExcitation
+from sins_align.swing.modes import is_alone, is_settled, least_mode
 from sins_align.swing.outcome import heading_variance, phi_covariance
 from sins_align.swing.solution import (
     KAPPA,
@@ -95,7 +96,7 @@ class Backtracking:
         """Filter the epochs that are new and solve, from the last solution on."""
         if self.solution is not None:
             self._filter_new()
-            self.solution = self.solver.solve(self.filter.normal, self.solution)
+            self.solution = self._solve(self.solution)
 
     def refresh(self) -> None:
         """Run over the stored increments again until the attitude stays."""
@@ -111,7 +112,7 @@ class Backtracking:
             self.about = Linearisation(before.R, before.x[X_R])
             self.filter = TwoStageFilter(self.noise, self.filter.noise.again())
             self._filter_new()
-            self.solution = self.solver.solve(self.filter.normal, before)
+            self.solution = self._solve(before)
             moved = log_rotation(self.solution.R @ before.R.T)
             sigma = np.sqrt(self.solution.covariance.diagonal()[KAPPA])
             if (np.abs(moved) < 0.01 * sigma).all() and not self.filter.noise.has_grown:
@@ -142,7 +143,14 @@ class Backtracking:
         if R is not None:
             nothing = np.zeros((self._prior.mean.shape[0],) * 2)
             first = Solution(R, self._prior.mean, nothing)
-            self.solution = self.solver.solve(self.filter.normal, first)
+            solver, normal = self.solver, self.filter.normal
+            self.solution = least_mode(solver, normal, solver.solve(normal, first))
+
+    def _solve(self, start: Solution) -> Solution:
+        """Of the sums, from `start` on."""
+        solver, normal = self.solver, self.filter.normal
+        solution = solver.solve(normal, start)
+        return solution if is_settled(solution) else least_mode(solver, normal, solution)
 
     def _filter_new(self) -> None:
         """Let the filter take in the epochs that it has not."""
@@ -166,6 +174,13 @@ class Backtracking:
     def is_coarse(self) -> bool:
         """Whether heading is known well enough to be spoken of."""
         return self.solution is not None and heading_variance(self.solution) < COARSE_SIGMA**2
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether no heading far from the solution's fits the data too."""
+        if self.solution is None:
+            return False
+        return is_alone(self.solver, self.filter.normal, self.solution)
 
     def heading_sigma(self, filter_: TwoStageFilter) -> float:
         """1 sigma of heading with the information of `filter_` [rad]."""

@@ -92,7 +92,10 @@ class InertialAligner:
         if self._estimate is None:
             sigma = math.degrees(min(math.sqrt(heading_variance(found.solution)), math.pi))
             bound = math.degrees(COARSE_SIGMA)
-            findings.append(HEADING_COARSE(sigma=f"sigma {sigma:.0f} deg, not below {bound:.0f}"))
+            why = f"sigma {sigma:.0f} deg, not below {bound:.0f}"
+            if found.is_coarse:
+                why = "another one, far off, fits the data too"
+            findings.append(HEADING_COARSE(sigma=why))
         noise = found.filter.noise
         moved, declared = math.sqrt(noise.variance), math.sqrt(noise.floor)
         if moved > RESTLESS * declared:
@@ -201,7 +204,7 @@ class InertialAligner:
     def _outcome_now(self) -> Outcome | None:
         found = self._found
         solution = found.solution
-        if solution is None or not found.is_coarse:
+        if solution is None or not (found.is_coarse and found.is_alone):
             return None
         time_s = float(found.epochs.time_s[-1])
         report = self._checks.report(

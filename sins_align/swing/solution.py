@@ -29,6 +29,7 @@ from sins_align.swing.two_stage import (
     GYRO_BIAS,
     LEVER,
     R_EAST,
+    R_NORTH,
     R_UP,
     V0,
 )
@@ -256,6 +257,33 @@ class Solver:
         squares = float(theta @ filter_.normal @ theta) + float(off @ (off / variance[known]))
         squares -= float(gradient @ _inverse(N) @ gradient)
         return -0.5 * (filter_.log_det + float(np.linalg.slogdet(N)[1]) + squares)
+
+    def squares_at(self, normal: Array, at: Solution, turns: Array) -> Array:
+        """Least sum of squares with heading turned by `turns` (k,) from `at`, less that of `at`.
+
+        R_e and R_n turn about R_u, so that theta is linear in u = (1, cos - 1, sin) of a turn.
+        With all else solved for, by a Newton step, u^T H u is left: two harmonics of the turn, the
+        second where the data know one horizontal part of the Earth rate better than the other.
+        None of x is considered here: all of it has its prior.
+        """
+        theta, variance = at.theta, self.prior.variance
+        T = np.zeros((theta.shape[0] + 1, 3))
+        T[:, 0] = np.append(theta, 1.0)
+        T[R_EAST, 1], T[R_NORTH, 1] = theta[R_EAST], theta[R_NORTH]
+        T[R_EAST, 2], T[R_NORTH, 2] = theta[R_NORTH], -theta[R_EAST]
+        weight = np.zeros(variance.shape[0])
+        weight[variance > 0.0] = 1.0 / variance[variance > 0.0]
+        free = variance > 0.0
+        free[X_V0] = True
+        # Of kappa, the tilts alone.
+        J = np.hstack((at.jacobian[:, KAPPA] @ at.R[:, :2], at.jacobian[:, free]))
+        N = J.T @ normal[:-1, :-1] @ J + np.diag(np.append([0.0, 0.0], weight[free]))
+        G = J.T @ normal[:-1] @ T
+        G[2:, 0] += (weight * (at.x - self.prior.mean))[free]
+        H = T.T @ normal @ T - G.T @ _inverse(N) @ G
+        u = np.stack((np.ones_like(turns), np.cos(turns) - 1.0, np.sin(turns)))
+        squares: Array = np.einsum("ik,ij,jk->k", u, H, u) - H[0, 0]
+        return squares
 
     def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
         """Information (m, m) and gradient (m,) of data and prior."""
