@@ -2,9 +2,9 @@
 
 A `Reason` is a row; called with its figures it becomes a `Finding`, which is what aligners and
 session hand on. `kind` says what it does: WAIT, the alignment cannot begin; FAULT, nothing can
-be made of the data; LIMIT, a threshold is out of reach as things are; DOUBT, the estimate is not
-believed; PROGRESS, it is on its way; HINT, said while a sigma is above its threshold; NOTE, said,
-and nothing else.
+be made of the data; LIMIT, a threshold is out of reach, unless the motion helps; DOUBT, the
+estimate is not believed; PROGRESS, it is on its way; HINT, said while a sigma is above its
+threshold; NOTE, said, and nothing else.
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ IMU_SILENT = Reason(
     Kind.WAIT,
     "no usable IMU data for {silent_s:.0f} s",
     "check that the IMU publishes on topic imu, and its QoS",
-    "Samples came, and come no more. Ends with the next one; after more than 0.5 s of missing"
+    "Samples came, and come no more. State and ~/aligned stay those of the last sample, for by the"
+    " stamps nothing may be missing yet. Ends with the next one; after more than 0.5 s of missing"
     " samples the alignment begins anew.",
 )
 IMU_REFUSED = Reason(
@@ -267,8 +268,8 @@ HOLDING = Reason(
 HEADING_LIMIT = Reason(
     "heading_limit",
     Kind.LIMIT,
-    "{threshold:g}' cannot be reached with a gyro bias of {bias_deg_h:g} deg/h at this latitude:"
-    " the limit is {limit:.1f}'",
+    "{threshold:g}' cannot be reached with a gyro bias of {bias_deg_h:g} deg/h at this latitude"
+    " on a base that does not turn: the limit is {limit:.1f}'",
     "raise heading_threshold_arcmin, {motion}, or use a better gyro",
     "A threshold below the physical limit of a base that does not turn. Ends when sigma is below"
     " it all the same, or with another threshold.",

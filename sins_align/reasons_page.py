@@ -31,7 +31,7 @@ KINDS = {
     Kind.FAULT: "Failed: the data cannot be used",
     Kind.PROGRESS: "On its way: nothing to be done",
     Kind.HINT: "Why it takes so long: said while a sigma is above its threshold",
-    Kind.LIMIT: "Out of reach: aligned is not claimed, and will not be as things are",
+    Kind.LIMIT: "Out of reach without other motion, place or settings: aligned is not claimed",
     Kind.DOUBT: "Doubts: aligned is not claimed while one stands",
     Kind.NOTE: "Said beside any state",
 }

@@ -23,7 +23,10 @@ from sins_align.odo.odometer_intake import OdometerIntake
 from sins_align.reasons import (
     BEGAN_ANEW,
     ESTIMATE_BROKE,
+    HEADING_SIGMA,
+    HOLDING,
     IMU_REFUSED,
+    LEVEL_LIMIT,
     LEVELLING,
     NO_IMU,
     NO_POSITION,
@@ -319,14 +322,16 @@ class Session:
 
         That is until sigma of heading is below its threshold, if the motion goes on as it was,
         and hold_s after that. 0 when aligned, NaN where it cannot be said: nobody knows when a
-        doubt will go. A pure function of the samples so far; some milliseconds of work.
+        doubt will go, or when the rest will come where heading is there. A pure function of the
+        samples so far; some milliseconds of work.
         """
         status = self.status
         if status.state is State.ALIGNED:
             return 0.0
         if self._aligner is None or status.state is State.FAILED or self._status is None:
             return math.nan
-        if any(finding.reason.kind is Kind.DOUBT for finding in status.findings):
+        reasons = [finding.reason for finding in status.findings]
+        if LEVEL_LIMIT in reasons or any(reason.kind is Kind.DOUBT for reason in reasons):
             return math.nan
         try:
             ahead = self._aligner.foresee(self._config.completion.heading_threshold)
@@ -336,6 +341,8 @@ class Session:
             return ahead
         hold = self._config.completion.hold_s
         if ahead == 0.0:
+            if HEADING_SIGMA not in reasons and HOLDING not in reasons:
+                return math.nan
             return self._aligner.next_step(
                 max(hold - self._completer.held_s(status.elapsed_s), 0.0)
             )

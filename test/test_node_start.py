@@ -11,7 +11,17 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from node_harness import SWING, SYNTH, Player, arguments, observing, run_module, running
+from node_harness import (
+    SWING,
+    SYNTH,
+    THRESHOLDS,
+    Player,
+    arguments,
+    observing,
+    pitching,
+    run_module,
+    running,
+)
 from sensor_msgs.msg import NavSatFix
 from std_srvs.srv import Trigger
 
@@ -93,6 +103,20 @@ def test_position_comes_from_the_fix_and_a_gap_begins_anew(tmp_path: Path) -> No
         assert int(observer.diagnostics()["imu_rejected"]) == 3
     assert "40.000000 deg" in log.read_text()
     assert log.read_text().count("the alignment began anew: 2.0 s without IMU data") == 1
+
+
+def test_silence_is_in_the_log_and_no_time_to_go_is_told(tmp_path: Path) -> None:
+    """What has been told with the samples that came is void when no more do."""
+    log, parameters = tmp_path / "log", {**THRESHOLDS, "latitude_deg": 40.0}
+    with observing() as observer, running(SWING, *arguments(parameters), log=log):
+        observer.wait_for_diagnostics()
+        Player(observer).play(pitching(12.0))
+        observer.wait(
+            lambda: "imu_silent" in observer.diagnostics()["reason_keys"], "the IMU's silence"
+        )
+        silent = observer.diagnostics()
+        assert "heading_sigma" in silent["reason_keys"] and silent["eta_s"] == "unknown"
+    assert log.read_text().count("no usable IMU data for") == 1
 
 
 def test_align_synth_plays_twice_to_one_node_and_loses_nothing(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sins_align.config import SwingConfig, swing_config
+from sins_align.ros.eta import EtaClock
 from sins_align.session import Session, Update
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.types import Estimate, ImuSamples, State
@@ -123,6 +124,47 @@ def test_no_time_to_go_while_a_doubt_stands() -> None:
     assert "heading_sigma" in right.status.keys and 0.0 < right.eta_s < 600.0
     wrong, _ = run(laser(), laser_config(heading_threshold_arcmin=1.5, latitude_deg=41.0))
     assert "latitude_doubted" in wrong.status.keys and math.isnan(wrong.eta_s)
+
+
+def test_no_time_to_go_where_a_level_is_out_of_reach() -> None:
+    """Heading is there at last, and what is left is not the hold."""
+    settings = laser_config(level_threshold_arcsec=0.5, heading_threshold_arcmin=20.0)
+    still = swing(scenario="still", duration_s=60.0)
+    for seconds in (20, 60):
+        session, _ = run(still.select(slice(0, 50 * seconds)), settings)
+        assert "level_limit" in session.status.keys and math.isnan(session.eta_s)
+
+
+def test_no_time_to_go_where_heading_waits_for_something_else() -> None:
+    settings = laser_config(heading_threshold_arcmin=20.0, level_threshold_arcsec=100.0)
+    session, updates = run(swing(scenario="still", duration_s=60.0), settings)
+    assert session.status.keys == () and session.eta_s == 0.0
+    alone = next(u.stamp_ns for u in updates if u.status.keys == ("latitude_unproven",))
+    waiting = Session(settings)
+    still = swing(scenario="still", duration_s=60.0)
+    waiting.add_imu(still.select(still.stamp_ns <= alone))
+    assert waiting.status.keys == ("latitude_unproven",) and math.isnan(waiting.eta_s)
+
+
+def test_a_time_that_was_told_does_not_outlive_what_makes_it_void() -> None:
+    """A clock that asks now and then asks at once where something else is said."""
+    samples = laser()
+    session, clock = Session(laser_config(heading_threshold_arcmin=1.5)), EtaClock()
+    session.add_imu(samples.select(slice(0, 2001)))
+    assert 0.0 < clock.eta_s(session) < 600.0
+    after = samples.select(slice(2001, 2201))
+    session.add_imu(ImuSamples(after.stamp_ns, after.w_ib_b, np.zeros_like(after.f_ib_b)))
+    assert session.status.state is State.FAILED and math.isnan(clock.eta_s(session))
+
+
+def test_a_clock_counts_down_in_between() -> None:
+    session, clock = Session(laser_config(heading_threshold_arcmin=1.5)), EtaClock()
+    session.add_imu(laser().select(slice(0, 2001)))
+    first, then_s = clock.eta_s(session), session.status.elapsed_s
+    for k in range(2001, 2501, 50):
+        session.add_imu(laser().select(slice(k, k + 50)))
+    passed = session.status.elapsed_s - then_s
+    assert passed > 0.0 and clock.eta_s(session) == pytest.approx(first - passed, rel=0.1)
 
 
 def test_a_forecast_that_breaks_down_breaks_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -145,11 +145,12 @@ def session_at(duration_s: float, scenario: str = "pitch", **parameters: object)
 
 
 def test_nothing_to_wait_for_where_sigma_is_below() -> None:
-    """Of heading; the levels may still be missing."""
-    session = session_at(60.0, level_threshold_arcsec=1e-3, heading_threshold_arcmin=60.0)
+    """Of heading; of the levels, which may still be missing, nothing is foretold."""
+    settings = {"level_threshold_arcsec": 1e-3, "heading_threshold_arcmin": 60.0}
+    session = session_at(60.0, **settings)
     assert session.status.keys == ("level_sigma", "level_limit")
-    # The hold is over; what is left is the time to the next step.
-    assert 0.0 <= session.eta_s < 15.0
+    assert session._aligner is not None
+    assert session._aligner.foresee(math.radians(1.0)) == 0.0 and math.isnan(session.eta_s)
 
 
 def test_the_limit_is_never_reached() -> None:

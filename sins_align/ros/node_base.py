@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +22,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from sins_align.config import completion_of
-from sins_align.reasons import IMU_SILENT, NO_IMU, Finding, Kind
+from sins_align.reasons import BEGAN_ANEW, IMU_SILENT, NO_IMU, Finding, Kind
 from sins_align.ros import messages
 from sins_align.ros.command import error_text
 from sins_align.ros.diagnostics import diagnostic_status, key_values
@@ -86,6 +87,7 @@ class AlignNode(ParameterNode):
         self._eta = EtaClock()
         self._logged_state = self.session.status.state
         self._logged_keys: set[str] = set()
+        self._logged_inputs: set[str] = set()
         self._logged_restarts = 0
         self._aligned = False
         self._create_outputs()
@@ -214,6 +216,7 @@ class AlignNode(ParameterNode):
         if restarts != self._logged_restarts:
             self._logged_restarts = restarts
             self._logged_state = State.WAITING
+            self._logged_keys = {BEGAN_ANEW.key}
             self.get_logger().warning(f"the alignment began anew: {self.session.begin_reason}")
         if status.state is not self._logged_state:
             self._logged_state = status.state
@@ -230,6 +233,14 @@ class AlignNode(ParameterNode):
             self.send(self._aligned_publisher, Bool(data=aligned))
             if aligned:
                 self._save()
+
+    def _log_inputs(self, inputs: list[Finding]) -> None:
+        """Log what is new of it, unless the status has said it."""
+        told = self._logged_inputs | set(self.session.status.keys)
+        for finding in inputs:
+            if finding.reason.key not in told:
+                self.get_logger().warning(finding.text)
+        self._logged_inputs = {finding.reason.key for finding in inputs}
 
     def _log(self, state: State, text: str) -> None:
         if state is State.FAILED:
@@ -309,7 +320,9 @@ class AlignNode(ParameterNode):
         if silent_s is not None:
             never = self.session.counts.imu_samples == 0
             inputs.append(NO_IMU() if never else IMU_SILENT(silent_s=silent_s))
-        eta_s = self._eta.eta_s(self.session)
+        self._log_inputs(inputs)
+        # Without samples no time to go runs down.
+        eta_s = math.nan if inputs and not self._aligned else self._eta.eta_s(self.session)
         status = diagnostic_status(self.session, name, estimate, eta_s, tuple(inputs))
         status.values += key_values(self.diagnostic_texts(estimate))
         message = DiagnosticArray(status=[status])
