@@ -35,7 +35,7 @@ class Report(NamedTuple):
     moved : (3,) what the attitude at the last epoch would turn by with the latitude of the data,
         where that is not the one given, in n [rad]; else None
     doubts : what the latitude has a claim wait for
-    untold_s : how much later the latitude will be told at the equator [s]
+    untold_s : how much later the latitude will be told [s]
     """
 
     witness: Witness | None
@@ -86,7 +86,7 @@ class Checks:
         witness = self._fit.compare(
             solution, solver.prior, epochs, heading_variance, filter_.noise.variance
         )
-        given = self._gravity.latitude
+        given, time_s = self._gravity.latitude, float(epochs.time_s[-1])
         by_turning = self._latitude_by_turning(epochs, solution)
         own, by_data = None, np.zeros(3)
         column = latitude_column(solution, given)
@@ -99,14 +99,14 @@ class Checks:
         latitude = latitude_by_both(own, by_turning)
         moved = None
         if latitude is not None and latitude_differs(given, latitude):
-            turned = earth_rate_slope(given) * float(epochs.time_s[-1])
+            turned = earth_rate_slope(given) * time_s
             moved = (latitude.latitude - given) * (by_data - turned)
-        time_s = float(epochs.time_s[-1]) if by_turning is not None else math.inf
-        doubts = latitude_doubts(self._grade, given, latitude, self._has_told_latitude, time_s)
+        sways_s = math.inf if by_turning is None else time_s
+        doubts = latitude_doubts(self._grade, given, latitude, self._has_told_latitude, sways_s)
         self._has_told_latitude |= latitude is not None and not doubts and is_told(latitude)
         untold_s = 0.0
-        if by_turning is not None and not self._has_told_latitude:
-            untold_s = told_after(self._grade, given, by_turning, time_s)
+        if not self._has_told_latitude:
+            untold_s = told_after(self._grade, given, own, by_turning, time_s)
         return Report(witness, self._steadiness.value, latitude, moved, doubts, untold_s)
 
     def _latitude_by_turning(self, epochs: Epochs, solution: Solution) -> LatitudeEstimate | None:

@@ -39,6 +39,7 @@ CYCLE_SHARE = 0.15  # of the time since the start
 MAX_CYCLE_S = 15.0
 # Half a block: their ends fall on stamps, not on the grid itself.
 GRACE_S = 0.5
+SOON_S = 0.1
 # A centre that moves by so many times what is declared is worth telling.
 RESTLESS = 5.0
 
@@ -156,8 +157,9 @@ class InertialAligner:
         untold_s = 0.0
         if self._outcome is not None and self._config.latitude_check != "off":
             untold_s = self._outcome.report.untold_s
-        ahead_s = max(self._heading_ahead_s(heading), untold_s)
-        return max(ahead_s - self._since_cycle_s, 0.0)
+        ahead_s = max(self._heading_ahead_s(heading), untold_s) - self._since_cycle_s
+        # What is not told yet will not be before the end of this cycle.
+        return max(ahead_s, SOON_S if untold_s > 0.0 else 0.0)
 
     def _heading_ahead_s(self, heading: float) -> float:
         """From the end of the last cycle."""

@@ -35,8 +35,9 @@ TOLD_ERROR = 1.0 * DEG
 TOLD_RATIO, SOON_RATIO, SOON_S = 6.0, 9.0, 120.0
 # A base whose swing still hides that from the rate about up is not waited for any longer [s].
 SWAYING_S = 200.0
-# What it hides falls like the time to the power of -7 in the long run, and to this one before.
-FALL = 8.5
+# What it hides falls like the time to the power of -7 in the long run, and faster before; sigma by
+# gravity, which is of noise first and of the bias later, like the second of these powers.
+TURNING_FALL, GRAVITY_FALL = 8.5, 1.5
 
 
 def earth_rate_slope(latitude: float) -> Array:
@@ -77,15 +78,25 @@ def is_told(own: LatitudeEstimate) -> bool:
     return TOLD_RATIO * own.sigma <= TOLD_ERROR
 
 
-def told_after(grade: ImuGrade, given: float, turn: LatitudeEstimate, sways_s: float) -> float:
-    """How much later the rate about up will tell, where it has to and gravity does not [s].
+def told_after(
+    grade: ImuGrade,
+    given: float,
+    own: LatitudeEstimate | None,
+    turn: LatitudeEstimate | None,
+    time_s: float,
+) -> float:
+    """How much later an error of a degree will show, by gravity or by the rate about up [s].
 
-    What is left of a swing falls like a power of the time. turn : by that rate, so far
+    Either sigma falls like a power of the time. own, turn : by the one and by the other, so far;
+    time_s : since the start
     """
-    if _is_due(grade, abs(math.sin(given))) or not _is_waited_for(grade, sways_s):
-        return 0.0
-    later = (TOLD_RATIO * turn.sigma / TOLD_ERROR) ** (1.0 / FALL)
-    return max(min(later * sways_s, SWAYING_S) - sways_s, 0.0)
+    later = []
+    if own is not None and _is_due(grade, abs(math.sin(given))):
+        later.append((TOLD_RATIO * own.sigma / TOLD_ERROR) ** (1.0 / GRAVITY_FALL) * time_s)
+    if turn is not None and _is_waited_for(grade, time_s):
+        told_s = (TOLD_RATIO * turn.sigma / TOLD_ERROR) ** (1.0 / TURNING_FALL) * time_s
+        later.append(min(told_s, SWAYING_S))
+    return max(min(later, default=0.0) - time_s, 0.0)
 
 
 def _is_due(grade: ImuGrade, slope: float) -> bool:
