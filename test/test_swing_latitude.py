@@ -182,3 +182,17 @@ def test_what_was_told_is_not_asked_again() -> None:
     own = LatitudeEstimate(40.0 * DEG, 1.0 * DEG)
     assert latitude_doubts(load_grade("rlg"), 40.0 * DEG, own)
     assert latitude_doubts(load_grade("rlg"), 40.0 * DEG, own, was_told=True) == ()
+
+
+def test_a_latitude_is_one() -> None:
+    """A centre that heaves misleads the first seconds: to first order L was beyond the pole."""
+    options = replace(OPTIONS, scenario="level", grade="rlg", heave_m=0.05, sway_m=0.05)
+    found = []
+    for seed in range(1, 9):
+        imu = simulate_swing(replace(options, seed=seed, rate_hz=20.0, duration_s=30.0)).imu
+        session = Session(swing_config({"latitude_deg": LATITUDE_DEG, "imu_grade": "rlg"}))
+        for update in session.add_imu(imu):
+            if update.estimate is not None and update.estimate.latitude is not None:
+                found.append(update.estimate.latitude.latitude)
+    assert 0.5 * math.pi in map(abs, found)
+    assert max(map(abs, found)) <= 0.5 * math.pi

@@ -92,7 +92,9 @@ class Checks:
         column = latitude_column(solution, given)
         if column is not None:
             off, sigma, response = solver.score(filter_.normal, solution, column)
-            own = LatitudeEstimate(given + off, sigma)
+            # To first order: so far off that it is no latitude, it is far off.
+            found = min(max(given + off, -0.5 * math.pi), 0.5 * math.pi)
+            own = LatitudeEstimate(found, sigma)
             # (I + [phi x]) C^ and Exp(-w_ie t) R^T both change.
             phi = filter_.X[PHI, :-1] @ (solution.jacobian @ response + column)
             by_data = C_nb0 @ (phi - response[KAPPA])
