@@ -135,15 +135,29 @@ def test_no_time_to_go_where_a_level_is_out_of_reach() -> None:
         assert "level_limit" in session.status.keys and math.isnan(session.eta_s)
 
 
-def test_no_time_to_go_where_heading_waits_for_something_else() -> None:
-    settings = laser_config(heading_threshold_arcmin=20.0, level_threshold_arcsec=100.0)
-    session, updates = run(swing(scenario="still", duration_s=60.0), settings)
+def session_alone_with(key: str, samples: ImuSamples, settings: SwingConfig) -> Session:
+    """At the last update before aligned at which nothing else was waited for."""
+    session, updates = run(samples, settings)
     assert session.status.keys == () and session.eta_s == 0.0
-    alone = next(u.stamp_ns for u in updates if u.status.keys == ("latitude_unproven",))
-    waiting = Session(settings)
+    alone = [u.stamp_ns for u in updates if u.status.keys == (key,)][-1]
+    return run(samples.select(samples.stamp_ns <= alone), settings)[0]
+
+
+def test_no_time_to_go_where_heading_waits_for_something_else() -> None:
+    settings = laser_config(heading_threshold_arcmin=200.0, latitude_check="off")
+    session = session_alone_with("unproven", swing(scenario="pitch", duration_s=60.0), settings)
+    assert session.status.keys == ("unproven",) and math.isnan(session.eta_s)
+
+
+def test_the_time_to_go_where_heading_waits_for_the_latitude() -> None:
+    """To a cycle, which is 15 % of the time."""
+    settings = laser_config(heading_threshold_arcmin=20.0, level_threshold_arcsec=100.0)
     still = swing(scenario="still", duration_s=60.0)
-    waiting.add_imu(still.select(still.stamp_ns <= alone))
-    assert waiting.status.keys == ("latitude_unproven",) and math.isnan(waiting.eta_s)
+    session = session_alone_with("latitude_unproven", still, settings)
+    aligned_at_s = run(still, settings)[0].status.aligned_at_s
+    assert session.status.keys == ("latitude_unproven",) and aligned_at_s is not None
+    left_s = aligned_at_s - session.status.elapsed_s
+    assert session.eta_s == pytest.approx(left_s, abs=0.15 * aligned_at_s)
 
 
 def test_a_time_that_was_told_does_not_outlive_what_makes_it_void() -> None:
