@@ -163,7 +163,10 @@ class Record:
 
 
 class Samples(NamedTuple):
-    """What the session gets, and the truth: stamps (N,) to C_nb (3, 3, N), biases (3,)."""
+    """What the session gets, and the truth.
+
+    C_nb_at : stamps (N,) to C_nb (3, 3, N); accel_bias : (3,) [m/s^2]
+    """
 
     imu: ImuSamples
     odometer: OdometerSamples | None

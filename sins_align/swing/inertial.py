@@ -39,6 +39,7 @@ CYCLE_SHARE = 0.15  # of the time since the start
 MAX_CYCLE_S = 15.0
 # Half a block: their ends fall on stamps, not on the grid itself.
 GRACE_S = 0.5
+# Within the cycle that runs [s].
 SOON_S = 0.1
 # A centre that moves by so many times what is declared is worth telling.
 RESTLESS = 5.0

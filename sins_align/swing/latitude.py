@@ -90,13 +90,13 @@ def told_after(
     Either sigma falls like a power of the time. own, turn : by the one and by the other, so far;
     time_s : since the start
     """
-    later = []
+    told_s = []  # when, since the start
     if own is not None and _is_due(grade, abs(math.sin(given))):
-        later.append((TOLD_RATIO * own.sigma / TOLD_ERROR) ** (1.0 / GRAVITY_FALL) * time_s)
+        told_s.append((TOLD_RATIO * own.sigma / TOLD_ERROR) ** (1.0 / GRAVITY_FALL) * time_s)
     if turn is not None and _is_waited_for(grade, time_s):
-        told_s = (TOLD_RATIO * turn.sigma / TOLD_ERROR) ** (1.0 / TURNING_FALL) * time_s
-        later.append(min(told_s, SWAYING_S))
-    return max(min(later, default=0.0) - time_s, 0.0)
+        by_turning_s = (TOLD_RATIO * turn.sigma / TOLD_ERROR) ** (1.0 / TURNING_FALL) * time_s
+        told_s.append(min(by_turning_s, SWAYING_S))
+    return max(min(told_s, default=0.0) - time_s, 0.0)
 
 
 def _is_due(grade: ImuGrade, slope: float) -> bool:

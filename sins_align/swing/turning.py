@@ -81,7 +81,10 @@ def turning(epochs: Epochs, R: Array, latitude: float, grade: ImuGrade) -> Turni
 
 
 def _rectified(epochs: Epochs, first: int, up_b0: Array, grade: ImuGrade) -> float:
-    """Variance of up . C M w, of a base that cones, by scale errors and misalignments M."""
+    """Variance of the mean of up . C M w, by scale errors and misalignments M [rad^2/s^2].
+
+    That of a base that cones is not zero. first : node from which on; up_b0 : (3,) unit vector
+    """
     C, T = epochs.C[first:], float(epochs.time_s[-1] - epochs.time_s[first])
     turned = unskew(C[:-1].transpose(0, 2, 1) @ C[1:])
     up_b = up_b0 @ (0.5 * (C[:-1] + C[1:]))
