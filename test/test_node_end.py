@@ -6,6 +6,7 @@ import json
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ pytest.importorskip("rclpy")
 
 from node_harness import (
     DEADLINE_S,
+    ENVIRONMENT,
     ODO,
     SWING,
     SYNTH,
@@ -33,6 +35,41 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 BOTH = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 EXECUTORS = pytest.mark.parametrize("executor", ["single", "events"])
+
+# A node with five things to wait for; the signal comes when its executor asks the fifth what it
+# is, so that some of the node's own are taken up by then, and some are not.
+TAKEN_UP = """
+import os, signal, sys, time
+import rclpy
+from rclpy.waitable import NumberOfEntities, Waitable
+from sins_align.ros.run_node import prepare_aligner, run_node
+from swing_align_ros.node import SwingAlignNode
+
+asked = []
+
+class Signalling(Waitable):
+    def get_num_entities(self):
+        asked.append(self)
+        if len(asked) == 5:
+            os.kill(os.getpid(), signal.SIGTERM)
+            end = time.monotonic() + 0.5
+            while rclpy.ok() and time.monotonic() < end:
+                time.sleep(0.01)
+        return NumberOfEntities()
+
+    def add_to_wait_set(self, wait_set):
+        pass
+
+def make_node():
+    node = SwingAlignNode()
+    for _ in range(5):
+        node.add_waitable(Signalling(node.default_callback_group))
+    return node
+
+status = run_node("swing_align", make_node, prepare_aligner)
+assert len(asked) == 5, asked
+sys.exit(status)
+"""
 
 
 def stop_twice(process: subprocess.Popen[bytes], number: int) -> int:
@@ -72,6 +109,17 @@ def test_a_signal_at_once_after_the_start(
             time.sleep(0.001)
         assert ending(process, number) == 0
     check_log(log)
+    assert json.loads(result.read_text())["state"] == "waiting"
+
+
+def test_a_signal_while_the_events_executor_takes_the_node_up(tmp_path: Path) -> None:
+    """A shutdown in the middle of that made it end by abort()."""
+    result = tmp_path / "result.json"
+    done = subprocess.run(
+        [sys.executable, "-c", TAKEN_UP, *arguments({"executor": "events", "result_file": result})],
+        env=ENVIRONMENT, timeout=DEADLINE_S, text=True, capture_output=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
     assert json.loads(result.read_text())["state"] == "waiting"
 
 

@@ -83,6 +83,10 @@ def prepare_aligner(node: AlignNode) -> Callable[[], None]:
     """What spins the node until ROS is shut down, and then lets it finish."""
     executor = _make_executor(node.executor_kind)
     executor.add_node(node)
+    if node.executor_kind == "events":
+        # It takes the node's subscriptions and timers up in its first turn. A shutdown in the
+        # middle of that leaves it some that it does not know of, and it ends by abort() then.
+        executor.spin_once(timeout_sec=0.0)
 
     def spin() -> None:
         try:
