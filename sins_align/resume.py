@@ -30,6 +30,7 @@ from sins_align.carried import (
     spread,
 )
 from sins_align.config import OdoConfig, SwingConfig
+from sins_align.consistency import MAX_CONSISTENCY
 from sins_align.earth import earth_rate_n
 from sins_align.reasons import (
     GYRO_NOISY,
@@ -41,7 +42,6 @@ from sins_align.reasons import (
     Finding,
 )
 from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
-from sins_align.status import MAX_CONSISTENCY
 from sins_align.stored import StoredAlignment
 from sins_align.stored_check import (
     CHECK_S,

@@ -13,13 +13,10 @@ been reached is left at a bound by `HYSTERESIS` wider than that at which it was 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
-import numpy as np
-from scipy.special import chdtri
-
 from sins_align.config import Completion
+from sins_align.consistency import Declared, find_doubts
 from sins_align.grades import ImuGrade
 from sins_align.limits import (
     HYSTERESIS,
@@ -32,12 +29,10 @@ from sins_align.limits import (
 from sins_align.reasons import (
     AT_POLE,
     BEGAN_ANEW,
-    BIAS_BEYOND,
     HEADING_COARSE,
     HEADING_LIMIT,
     HEADING_SIGMA,
     HOLDING,
-    INCONSISTENT,
     LATITUDE_DIFFERS,
     LATITUDE_DOUBTED,
     LATITUDE_UNPROVEN,
@@ -45,45 +40,14 @@ from sins_align.reasons import (
     LEVEL_LIMIT,
     LEVEL_SIGMA,
     UNOBSERVABLE_HERE,
-    UNPROVEN,
-    UNSTEADY,
-    WITNESS_DIFFERS,
     Finding,
     Kind,
 )
-from sins_align.rotation import dcm_from_quaternion
 from sins_align.types import Advance, Estimate, Position, State, Status
 from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
 
 # From here on the levels and heading are small-angle quantities.
 FINE_HEADING_SIGMA = 0.035  # [rad], 2 deg
-# Mean normalised innovation squared over its expectation: beyond this a sigma is not believed.
-# There is no lower bound: a base that stands stiller than declared gives 0.01, and sigma is then
-# too large, which misleads nobody.
-MAX_CONSISTENCY = 2.0
-# Two estimates from the same data may differ by less than independent ones would: normalised square
-# of the difference over its expectation for such.
-MAX_DISAGREEMENT = 1.0
-# Largest square of a change of heading over its variance, of some that are not independent.
-MAX_UNSTEADINESS = 16.0
-# A bias so many sigma beyond the declared one is no bias: the vehicle moves, or the grade lies.
-MAX_BIAS_RATIO = 5.0
-# So rarely is a true bias of the gyros as long as one that is doubted. What the data tell of it
-# tells on the east one, too, which on a base that does not turn is an error of heading and no more.
-RARE_GYRO_BIAS = 1e-3
-LEAST_TOLD = 0.1  # components of it
-
-
-class Declared(NamedTuple):
-    """What is declared of the sensors, 1 sigma; 0: not estimated, or not declared.
-
-    gyro_bias [rad/s], drift included; accel_bias [m/s^2], with the scale errors that gravity
-    turns into one; odometer_scale [1]
-    """
-
-    gyro_bias: float = 0.0
-    accel_bias: float = 0.0
-    odometer_scale: float = 0.0
 
 
 class Expectation(NamedTuple):
@@ -144,31 +108,13 @@ class Completer:
         estimate = step.estimate
         limit = self._expectation.heading_limit(elapsed_s - begun_s)
         if estimate is None:
-            self._forget()
-            findings = tuple(f for f in step.findings if self._is_asked(f, False))
-            self._state = _state_without_estimate(findings)
-            if not findings:
-                findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
-            # Where heading is not looked for, no threshold and no turn would help.
-            sought = not any(f.reason is UNOBSERVABLE_HERE for f in findings)
-            if self._state is State.COARSE and sought:
-                findings = (*findings, *(f for f in self._heading_limit() if f not in findings))
+            findings = self._without_estimate(step, elapsed_s)
             if begin_reason:
                 findings = (*findings, BEGAN_ANEW(cause=begin_reason))
             return Status(self._state, findings, elapsed_s, None, limit)
-        missing = self._missing(estimate)
-        said = [f for f in step.findings if self._is_asked(f, True)]
-        doubts = [
-            f for f in said if f.reason.kind.forbids_claim or f.reason is LATITUDE_UNPROVEN
-        ]  # fmt: skip
-        notes = [f for f in said if f not in doubts]
-        doubts += self._doubts(estimate)
-        if not missing:
-            notes = [f for f in notes if f.reason.kind is not Kind.HINT]
-        notes += self._latitude(estimate)
-        faults = [f for f in notes if f.reason.kind is Kind.FAULT]
-        findings = (*faults, *missing, *doubts, *(f for f in notes if f not in faults))
-        if faults or missing or doubts:
+        faults, objections, notes = self._judge(step, estimate)
+        findings = (*faults, *objections, *notes)
+        if faults or objections:
             self._forget()
             self._state = State.FAILED if faults else self._degree(estimate)
             return Status(self._state, findings, elapsed_s, None, limit)
@@ -184,6 +130,36 @@ class Completer:
             self._aligned_at_s = elapsed_s
         return Status(self._state, findings, elapsed_s, self._aligned_at_s, limit)
 
+    def _without_estimate(self, step: Advance, elapsed_s: float) -> tuple[Finding, ...]:
+        """Take the state of a step without an estimate; what there is to be said of it."""
+        self._forget()
+        findings = tuple(f for f in step.findings if self._is_asked(f, False))
+        self._state = _state_without_estimate(findings)
+        if not findings:
+            findings = (HEADING_COARSE(sigma=f"collecting data ({elapsed_s:.0f} s)"),)
+        # Where heading is not looked for, no threshold and no turn would help.
+        sought = not any(f.reason is UNOBSERVABLE_HERE for f in findings)
+        if self._state is State.COARSE and sought:
+            findings = (*findings, *(f for f in self._heading_limit() if f not in findings))
+        return findings
+
+    def _judge(
+        self, step: Advance, estimate: Estimate
+    ) -> tuple[list[Finding], list[Finding], list[Finding]]:
+        """Faults, what else forbids the claim of being aligned, and what does not."""
+        missing = self._missing(estimate)
+        said = [f for f in step.findings if self._is_asked(f, True)]
+        doubts = [
+            f for f in said if f.reason.kind.forbids_claim or f.reason is LATITUDE_UNPROVEN
+        ]  # fmt: skip
+        notes = [f for f in said if f not in doubts]
+        doubts += find_doubts(estimate, self._expectation.declared, self._widening)
+        if not missing:
+            notes = [f for f in notes if f.reason.kind is not Kind.HINT]
+        notes += self._latitude(estimate)
+        faults = [f for f in notes if f.reason.kind is Kind.FAULT]
+        return faults, missing + doubts, [f for f in notes if f not in faults]
+
     def _forget(self) -> None:
         self._below_since_s = self._aligned_at_s = None
 
@@ -191,9 +167,10 @@ class Completer:
         """For how long everything has been as it should be [s]."""
         return 0.0 if self._below_since_s is None else elapsed_s - self._below_since_s
 
-    def _widened(self, bound: float) -> float:
-        """A bound, wider once it has been kept for hold_s."""
-        return bound * HYSTERESIS if self._state is State.ALIGNED else bound
+    @property
+    def _widening(self) -> float:
+        """Of the bounds, once they have been kept for hold_s."""
+        return HYSTERESIS if self._state is State.ALIGNED else 1.0
 
     def _degree(self, estimate: Estimate) -> State:
         """Coarse or fine."""
@@ -206,14 +183,14 @@ class Completer:
         """What is not below its threshold; written so that NaN is not."""
         east, north, heading = estimate.sigma.tolist()
         completion, missing = self.completion, []
-        if not heading < self._widened(completion.heading_threshold):
+        if not heading < completion.heading_threshold * self._widening:
             missing.append(
                 HEADING_SIGMA(
                     sigma=heading / ARCMIN, threshold=completion.heading_threshold / ARCMIN
                 )
             )
             missing += self._heading_limit()
-        level_threshold = self._widened(completion.level_threshold)
+        level_threshold = completion.level_threshold * self._widening
         if not (east < level_threshold and north < level_threshold):
             level, threshold = max(east, north) / ARCSEC, completion.level_threshold / ARCSEC
             missing.append(LEVEL_SIGMA(sigma=level, threshold=threshold))
@@ -240,45 +217,6 @@ class Completer:
                 motion=expectation.motion,
             )
         ]
-
-    def _doubts(self, estimate: Estimate) -> list[Finding]:
-        """Why sigma is not to be believed."""
-        doubts = []
-        consistency, steadiness = estimate.consistency, estimate.steadiness
-        if consistency > self._widened(MAX_CONSISTENCY):
-            doubts.append(INCONSISTENT(ratio=consistency))
-        # Neither stays NaN: an innovation comes within seconds, solutions within a minute.
-        if math.isnan(consistency) or (steadiness is not None and math.isnan(steadiness)):
-            doubts.append(UNPROVEN())
-        elif steadiness is not None and steadiness > self._widened(MAX_UNSTEADINESS):
-            doubts.append(UNSTEADY(ratio=math.sqrt(steadiness)))
-        witness = estimate.witness
-        if witness is not None and not witness.square <= self._widened(MAX_DISAGREEMENT):
-            heading, ratio = abs(float(witness.phi[2])) / ARCMIN, math.sqrt(witness.square)
-            doubts.append(WITNESS_DIFFERS(name=witness.name, heading=heading, ratio=ratio))
-        for what, ratio, most in self._beyond(estimate):
-            if not ratio <= self._widened(most):
-                doubts.append(BIAS_BEYOND(what=what, ratio=ratio))
-        return doubts
-
-    def _beyond(self, estimate: Estimate) -> Iterator[tuple[str, float, float]]:
-        """Estimates over what is declared of them, and the most of that which is believed."""
-        declared = self._expectation.declared
-        if declared.gyro_bias > 0.0:
-            ratio = math.hypot(*estimate.gyro_bias.tolist()) / declared.gyro_bias
-            # Of a bias that the data do not tell the estimate is zero: it does not count.
-            told = 1.0 - np.minimum(estimate.gyro_bias_sigma / declared.gyro_bias, 1.0) ** 2
-            most = math.sqrt(chdtri(max(float(told.sum()), LEAST_TOLD), RARE_GYRO_BIAS))
-            yield "gyro bias", ratio, most
-        if declared.accel_bias > 0.0:
-            # Along up, it also stands for a height that is wrong.
-            up = dcm_from_quaternion(estimate.q_nb)[2]
-            level = estimate.accel_bias - (estimate.accel_bias @ up) * up
-            ratio = math.hypot(*level.tolist()) / declared.accel_bias
-            yield "accelerometer bias", ratio, MAX_BIAS_RATIO
-        if estimate.odometer is not None and declared.odometer_scale > 0.0:
-            ratio = abs(estimate.odometer.scale_error) / declared.odometer_scale
-            yield "odometer scale error", ratio, MAX_BIAS_RATIO
 
     def _is_asked(self, finding: Finding, has_estimate: bool) -> bool:
         """Whether latitude_check has it said."""

@@ -11,6 +11,14 @@ import pytest
 from scipy.stats import chi2
 
 from sins_align.config import Completion
+from sins_align.consistency import (
+    MAX_BIAS_RATIO,
+    MAX_CONSISTENCY,
+    MAX_DISAGREEMENT,
+    MAX_UNSTEADINESS,
+    RARE_GYRO_BIAS,
+    Declared,
+)
 from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
 from sins_align.grades import ImuGrade
 from sins_align.limits import HYSTERESIS
@@ -29,17 +37,7 @@ from sins_align.reasons import (
     Kind,
     Reason,
 )
-from sins_align.status import (
-    FINE_HEADING_SIGMA,
-    MAX_BIAS_RATIO,
-    MAX_CONSISTENCY,
-    MAX_DISAGREEMENT,
-    MAX_UNSTEADINESS,
-    RARE_GYRO_BIAS,
-    Completer,
-    Declared,
-    Expectation,
-)
+from sins_align.status import FINE_HEADING_SIGMA, Completer, Expectation
 from sins_align.types import (
     Advance,
     Estimate,

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from sins_align.config import swing_config
+from sins_align.consistency import MAX_UNSTEADINESS
 from sins_align.grades import load_grade
 from sins_align.rotation import exp_rotation
 from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
-from sins_align.status import MAX_UNSTEADINESS
 from sins_align.swing.solution import KAPPA, Solution
 from sins_align.swing.steadiness import FIRST_S, LEAST_COUNT, SURE_S, Steadiness
 

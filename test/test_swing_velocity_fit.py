@@ -19,10 +19,10 @@ from swing_filtered import (
 )
 
 from evidence.monte_carlo import misalignment
+from sins_align.consistency import MAX_DISAGREEMENT
 from sins_align.limits import heading_limit
 from sins_align.rotation import exp_rotation
 from sins_align.simulate import SwingOptions
-from sins_align.status import MAX_DISAGREEMENT
 from sins_align.swing.epochs import Epochs
 from sins_align.swing.solution import Solution
 from sins_align.swing.velocity_fit import VelocityFit
