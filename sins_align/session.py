@@ -9,7 +9,7 @@ were handed over.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,22 +20,10 @@ from sins_align.config import Completion, OdoConfig, SwingConfig
 from sins_align.data_watch import DataWatch
 from sins_align.intake import Intake
 from sins_align.odo.odometer_intake import OdometerIntake
-from sins_align.reasons import (
-    BEGAN_ANEW,
-    ESTIMATE_BROKE,
-    HEADING_SIGMA,
-    HOLDING,
-    IMU_REFUSED,
-    LEVEL_LIMIT,
-    LEVELLING,
-    NO_IMU,
-    NO_POSITION,
-    STORED_DROPPED,
-    VEHICLE_MOVES,
-    Finding,
-    Kind,
-)
-from sins_align.soundness import check_arrays, check_odometer_arrays, is_sound
+from sins_align.prediction import predict_completion
+from sins_align.reasons import ESTIMATE_BROKE, STORED_DROPPED, VEHICLE_MOVES, Finding
+from sins_align.soundness import check_arrays, check_odometer_arrays, check_position, is_sound
+from sins_align.status import waiting_findings
 from sins_align.types import (
     Advance,
     AidedAligner,
@@ -50,8 +38,6 @@ from sins_align.types import (
     Status,
 )
 
-# How far back an odometer's samples are of use to an alignment that begins [ns].
-KEPT_NS = 5_000_000_000
 HAD_MOVED = "the vehicle had moved"
 ANEW = "the alignment began anew: {why}"
 
@@ -99,36 +85,12 @@ class Session:
         self._aided: AidedAligner | None = None
         if self._position is None:
             return
-        made = make_aligners(self._config, self._position, self._initial)
-        self._aligner, self._aided = made
-        if made.aided is None:
+        self._aligner, self._aided = make_aligners(self._config, self._position, self._initial)
+        if self._aided is None:
             return
-        # The odometer may be ahead of the IMU. From a fixed time on: what comes of it must not
-        # depend on what else is still kept.
-        recent = self._odometer_intake.recent()
-        now_ns = at_ns if at_ns is not None else self._odometer_intake.imu_ns
-        if len(recent) and now_ns is not None:
-            recent = recent.select(recent.stamp_ns >= now_ns - KEPT_NS)
-        if len(recent):
-            made.aided.aid(recent)
-
-    def _waiting_status(self) -> Status:
-        return Status(State.WAITING, tuple(self._waiting_findings()))
-
-    def _waiting_findings(self) -> Iterator[Finding]:
-        if self._position is None:
-            yield NO_POSITION()
-        accepted = self._counts.imu_samples - self._counted[0]
-        rejected = self._counts.imu_rejected - self._counted[1]
-        if rejected > accepted:
-            yield IMU_REFUSED(refused=rejected, total=accepted + rejected)
-        elif accepted == 0:
-            yield NO_IMU()
-        elif self._position is not None:
-            yield LEVELLING(elapsed_s=0.0)
-        if self._begin_reason:
-            yield BEGAN_ANEW(cause=self._begin_reason)
-        yield from self._forgotten
+        waiting = self._odometer_intake.useful(at_ns)
+        if len(waiting):
+            self._aided.aid(waiting)
 
     @property
     def config(self) -> SwingConfig | OdoConfig:
@@ -163,7 +125,13 @@ class Session:
     @property
     def status(self) -> Status:
         """As of the last whole block."""
-        return self._waiting_status() if self._status is None else self._status
+        if self._status is not None:
+            return self._status
+        accepted = self._counts.imu_samples - self._counted[0]
+        rejected = self._counts.imu_rejected - self._counted[1]
+        has_position = self._position is not None
+        waiting = waiting_findings(has_position, accepted, rejected, self._begin_reason)
+        return Status(State.WAITING, (*waiting, *self._forgotten))
 
     @property
     def imu_rate_hz(self) -> float | None:
@@ -178,9 +146,7 @@ class Session:
         ------
         ValueError : not a position on the Earth
         """
-        values = (position.latitude, position.longitude, position.altitude)
-        if not all(map(math.isfinite, values)) or abs(position.latitude) > 0.5 * math.pi:
-            raise ValueError(f"{position} is not a position on the Earth")
+        check_position(position)
         if self._position is None:
             self._position = position
             self._begin(self._begin_reason)
@@ -318,35 +284,15 @@ class Session:
 
     @property
     def eta_s(self) -> float:
-        """Predicted time until aligned, as far as heading goes [s]; inf: not within an hour.
+        """Predicted time until aligned [s]; see `predict_completion`.
 
-        That is until sigma of heading is below its threshold, if the motion goes on as it was,
-        and hold_s after that. 0 when aligned, NaN where it cannot be said: nobody knows when a
-        doubt will go, or when the rest will come where heading is there. A pure function of the
-        samples so far; some milliseconds of work.
+        NaN before the first step of an aligner. A pure function of the samples so far; some
+        milliseconds of work.
         """
-        status = self.status
-        if status.state is State.ALIGNED:
-            return 0.0
-        if self._aligner is None or status.state is State.FAILED or self._status is None:
+        if self._aligner is None or self._status is None:
             return math.nan
-        reasons = [finding.reason for finding in status.findings]
-        if LEVEL_LIMIT in reasons or any(reason.kind is Kind.DOUBT for reason in reasons):
-            return math.nan
-        try:
-            ahead = self._aligner.foresee(self._config.completion.heading_threshold)
-        except np.linalg.LinAlgError:  # nothing to break a node for
-            return math.nan
-        if not math.isfinite(ahead):
-            return ahead
-        hold = self._config.completion.hold_s
-        if ahead == 0.0:
-            if HEADING_SIGMA not in reasons and HOLDING not in reasons:
-                return math.nan
-            return self._aligner.next_step(
-                max(hold - self._completer.held_s(status.elapsed_s), 0.0)
-            )
-        return self._aligner.next_step(self._aligner.next_step(ahead) + hold)
+        held_s = self._completer.held_s(self._status.elapsed_s)
+        return predict_completion(self._aligner, self._status, self._config.completion, held_s)
 
     @property
     def conclusion(self) -> Estimate | None:

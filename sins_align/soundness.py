@@ -1,4 +1,4 @@
-"""What is refused at the door: arrays, blocks and estimates that nothing can be made of."""
+"""What is refused at the door: positions, arrays, blocks, estimates that nothing can be made of."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sins_align.reasons import FORCE_IN_G, FORCE_SIZE, GRAVITY_REMOVED, SLOW_IMU, Finding
-from sins_align.types import Estimate, ImuBlock, ImuSamples, OdometerSamples
+from sins_align.types import Estimate, ImuBlock, ImuSamples, OdometerSamples, Position
 
 # 10 Hz with room for jitter; slower, nothing is left of a swing between two samples.
 MAX_INTERVAL_S = 0.125
@@ -39,6 +39,18 @@ def is_sound(estimate: Estimate) -> bool:
     P = estimate.misalignment_covariance
     finite = np.isfinite(P).all() and np.isfinite(estimate.q_nb).all()
     return bool(finite and (P.diagonal() >= 0.0).all())
+
+
+def check_position(position: Position) -> None:
+    """Refuse what is not a position on the Earth.
+
+    Raises
+    ------
+    ValueError : says which
+    """
+    values = (position.latitude, position.longitude, position.altitude)
+    if not all(map(math.isfinite, values)) or abs(position.latitude) > 0.5 * math.pi:
+        raise ValueError(f"{position} is not a position on the Earth")
 
 
 def check_odometer_arrays(samples: OdometerSamples) -> None:

@@ -13,6 +13,7 @@ been reached is left at a bound by `HYSTERESIS` wider than that at which it was 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from sins_align.config import Completion
@@ -33,12 +34,16 @@ from sins_align.reasons import (
     HEADING_LIMIT,
     HEADING_SIGMA,
     HOLDING,
+    IMU_REFUSED,
     LATITUDE_DIFFERS,
     LATITUDE_DOUBTED,
     LATITUDE_UNPROVEN,
     LATITUDE_WRONG,
     LEVEL_LIMIT,
     LEVEL_SIGMA,
+    LEVELLING,
+    NO_IMU,
+    NO_POSITION,
     UNOBSERVABLE_HERE,
     Finding,
     Kind,
@@ -245,3 +250,23 @@ def _state_without_estimate(findings: tuple[Finding, ...]) -> State:
     if Kind.FAULT in kinds:
         return State.FAILED
     return State.WAITING if Kind.WAIT in kinds else State.COARSE
+
+
+def waiting_findings(
+    has_position: bool, accepted: int, rejected: int, begin_reason: str
+) -> Iterator[Finding]:
+    """What is to be said before the first step of an aligner.
+
+    accepted, rejected : samples of the IMU since the alignment began
+    begin_reason : why it began anew, empty at the first start
+    """
+    if not has_position:
+        yield NO_POSITION()
+    if rejected > accepted:
+        yield IMU_REFUSED(refused=rejected, total=accepted + rejected)
+    elif accepted == 0:
+        yield NO_IMU()
+    elif has_position:
+        yield LEVELLING(elapsed_s=0.0)
+    if begin_reason:
+        yield BEGAN_ANEW(cause=begin_reason)

@@ -23,6 +23,8 @@ SET_BACK_NS = 500_000_000
 # What `recent` keeps, before the IMU's time, which may be so far behind.
 MOST_AHEAD_NS = 3_600_000_000_000
 RECENT_NS = 10_000_000_000
+# How far back they are of use to an alignment that begins.
+USEFUL_NS = 5_000_000_000
 
 
 class OdometerIntake:
@@ -79,6 +81,20 @@ class OdometerIntake:
             joined = joined.select(slice(first, None))
         self._recent = deque([joined] if len(joined) else [])
         return _copy(joined)
+
+    def useful(self, begin_ns: int | None = None) -> OdometerSamples:
+        """What is kept that is of use to an alignment that begins then [ns].
+
+        The odometer may be ahead of the IMU. From a fixed time on: what comes of it must not
+        depend on what else is still kept.
+
+        begin_ns : None: where the IMU is
+        """
+        recent = self.recent()
+        begin_ns = self.imu_ns if begin_ns is None else begin_ns
+        return (
+            recent if begin_ns is None else recent.select(recent.stamp_ns >= begin_ns - USEFUL_NS)
+        )
 
     def _refuse(self, reason: str, number: int = 1) -> None:
         self.rejected[reason] += number
