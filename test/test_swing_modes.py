@@ -126,7 +126,7 @@ def least_squares(filtered: Filtered, turn: float) -> float:
 def test_squares_at_a_turn_are_those_with_all_else_solved_for() -> None:
     filtered = short()
     turns = np.radians([-150.0, -90.0, -45.0, 30.0, 60.0, 120.0, 180.0])
-    squares = filtered.solver.squares_at(filtered.filter.normal, filtered.solution, turns)
+    squares = modes.squares_at(filtered.prior, filtered.filter.normal, filtered.solution, turns)
     least = least_squares(filtered, 0.0)
     expected = np.array([least_squares(filtered, float(turn)) - least for turn in turns])
     assert np.abs(squares).max() > 10.0

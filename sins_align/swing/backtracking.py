@@ -16,14 +16,8 @@ from sins_align.swing.epochs import Epochs
 from sins_align.swing.excitation import LeverExcitation
 from sins_align.swing.modes import is_alone, is_settled, least_mode
 from sins_align.swing.outcome import heading_variance, phi_covariance
-from sins_align.swing.solution import (
-    KAPPA,
-    X_R,
-    Solution,
-    Solver,
-    make_prior,
-    start_attitude,
-)
+from sins_align.swing.solution import KAPPA, X_R, Solution, Solver, make_prior
+from sins_align.swing.start import start_attitude
 from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.windows import Windows

@@ -16,23 +16,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
 
 from sins_align.grades import ImuGrade
 from sins_align.rotation import exp_rotation, skew
 from sins_align.swing.excitation import LeverDirections
-from sins_align.swing.two_stage import (
-    ACCEL_BIAS,
-    ATTITUDE,
-    BASE,
-    DATA,
-    GYRO_BIAS,
-    LEVER,
-    R_EAST,
-    R_NORTH,
-    R_UP,
-    V0,
-)
+from sins_align.swing.information import invert_information
+from sins_align.swing.two_stage import ACCEL_BIAS, ATTITUDE, BASE, DATA, GYRO_BIAS, LEVER, V0
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array
 
@@ -132,32 +121,6 @@ class Solution:
         return J
 
 
-def start_attitude(normal: Array, prior: Prior) -> Array | None:
-    """Closed-form attitude from the sums, from no knowledge at all: R (3, 3).
-
-    Free vectors R_u and R_e, start velocity and lever arm; biases zero, and R_n, whose share
-    of gravity is of second order in time, left out. TRIAD then makes them a rotation. None
-    where the sums do not determine them.
-    """
-    free = np.r_[R_EAST, R_UP, V0, LEVER]
-    N = normal[np.ix_(free, free)].copy()
-    b = -normal[free, DATA]
-    # An exact prior is as good as one of a nanometre here.
-    lever = slice(9, 12)
-    weight = 1.0 / np.maximum(prior.variance[X_R], 1e-18)
-    N[lever, lever] += np.diag(weight)
-    b[lever] += weight * prior.mean[X_R]
-    try:
-        solution = _inverse(N) @ b
-    except np.linalg.LinAlgError:
-        return None
-    east, up = solution[0:3], solution[3:6]
-    up = up / np.linalg.norm(up)
-    east = east - up * (up @ east)
-    east = east / np.linalg.norm(east)
-    return np.column_stack((east, np.cross(up, east), up))
-
-
 class Solver:
     """Minimises the sum of squares for one prior.
 
@@ -182,7 +145,7 @@ class Solver:
         if not np.array_equal(current.x, start.x):
             N, gradient = self._reduced(normal, current)
         for _ in range(iterations):
-            covariance = basis @ _inverse(basis.T @ N @ basis) @ basis.T
+            covariance = basis @ invert_information(basis.T @ N @ basis) @ basis.T
             step = covariance @ -gradient
             x = current.x + step
             x[KAPPA] = 0.0
@@ -199,7 +162,7 @@ class Solver:
         """(m, m) of x, had `normal` been solved at `at`: the data themselves do not count."""
         N, _ = self._reduced(normal, at)
         basis, considered = self._parameters(N)
-        covariance = basis @ _inverse(basis.T @ N @ basis) @ basis.T
+        covariance = basis @ invert_information(basis.T @ N @ basis) @ basis.T
         error = considered - covariance @ (N @ considered)
         return covariance + error @ error.T
 
@@ -221,7 +184,7 @@ class Solver:
         J, A = self._jacobian(at), normal[:-1, :-1]
         N, gradient = self._reduced(normal, at)
         basis, considered = self._parameters(N)
-        covariance = basis @ _inverse(basis.T @ N @ basis) @ basis.T
+        covariance = basis @ invert_information(basis.T @ N @ basis) @ basis.T
         cross = J.T @ (A @ column)
         response = -covariance @ cross
         slope = float(column @ (A @ at.theta + normal[:-1, DATA])) + float(response @ gradient)
@@ -255,35 +218,8 @@ class Solver:
             gradient = np.append(gradient, column @ (filter_.normal[:-1] @ theta))
         off = (at.x - self.prior.mean)[known]
         squares = float(theta @ filter_.normal @ theta) + float(off @ (off / variance[known]))
-        squares -= float(gradient @ _inverse(N) @ gradient)
+        squares -= float(gradient @ invert_information(N) @ gradient)
         return -0.5 * (filter_.log_det + float(np.linalg.slogdet(N)[1]) + squares)
-
-    def squares_at(self, normal: Array, at: Solution, turns: Array) -> Array:
-        """Least sum of squares with heading turned by `turns` (k,) from `at`, less that of `at`.
-
-        R_e and R_n turn about R_u, so that theta is linear in u = (1, cos - 1, sin) of a turn.
-        With all else solved for, by a Newton step, u^T H u is left: two harmonics of the turn, the
-        second where the data know one horizontal part of the Earth rate better than the other.
-        None of x is considered here: all of it has its prior.
-        """
-        theta, variance = at.theta, self.prior.variance
-        T = np.zeros((theta.shape[0] + 1, 3))
-        T[:, 0] = np.append(theta, 1.0)
-        T[R_EAST, 1], T[R_NORTH, 1] = theta[R_EAST], theta[R_NORTH]
-        T[R_EAST, 2], T[R_NORTH, 2] = theta[R_NORTH], -theta[R_EAST]
-        weight = np.zeros(variance.shape[0])
-        weight[variance > 0.0] = 1.0 / variance[variance > 0.0]
-        free = variance > 0.0
-        free[X_V0] = True
-        # Of kappa, the tilts alone.
-        J = np.hstack((at.jacobian[:, KAPPA] @ at.R[:, :2], at.jacobian[:, free]))
-        N = J.T @ normal[:-1, :-1] @ J + np.diag(np.append([0.0, 0.0], weight[free]))
-        G = J.T @ normal[:-1] @ T
-        G[2:, 0] += (weight * (at.x - self.prior.mean))[free]
-        H = T.T @ normal @ T - G.T @ _inverse(N) @ G
-        u = np.stack((np.ones_like(turns), np.cos(turns) - 1.0, np.sin(turns)))
-        squares: Array = np.einsum("ik,ij,jk->k", u, H, u) - H[0, 0]
-        return squares
 
     def _reduced(self, normal: Array, at: Solution) -> tuple[Array, Array]:
         """Information (m, m) and gradient (m,) of data and prior."""
@@ -327,7 +263,7 @@ class Solver:
         # Information of data and prior on the accelerometer bias, in units of the prior.
         cross = basis.T @ N[:, X_BA] * sigma
         own = N[X_BA, X_BA] * np.outer(sigma, sigma)
-        own -= cross.T @ _inverse(basis.T @ N @ basis) @ cross
+        own -= cross.T @ invert_information(basis.T @ N @ basis) @ cross
         ratio, vectors = np.linalg.eigh(own)
         directions = unit[:, X_BA] @ (sigma[:, None] * vectors)
         excited = ratio > 1.0 + ESTIMATE_RATIO
@@ -345,19 +281,3 @@ class Solver:
             out = considered[X_BA]
             x[X_BA] -= out @ ((out / prior.variance[X_BA, None]).T @ x[X_BA])
         return Solution(start.R, x, start.covariance)
-
-
-def _inverse(N: Array) -> Array:
-    """Inverse of a positive definite matrix, by Cholesky after scaling to a unit diagonal.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError : not positive definite
-    """
-    scale = 1.0 / np.sqrt(N.diagonal())
-    factor, info = dpotrf(N * scale[:, None] * scale, lower=1)
-    if info != 0:
-        raise np.linalg.LinAlgError("the data do not determine the parameters")
-    inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
-    lower = np.tril(inverse) + np.tril(inverse, -1).T
-    return lower * scale[:, None] * scale

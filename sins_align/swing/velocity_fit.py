@@ -17,7 +17,8 @@ import numpy as np
 
 from sins_align.rotation import log_rotation
 from sins_align.swing.epochs import Epochs
-from sins_align.swing.solution import Prior, Solution, start_attitude
+from sins_align.swing.solution import Prior, Solution
+from sins_align.swing.start import start_attitude
 from sins_align.swing.two_stage import (
     BASE,
     DATA,
