@@ -9,7 +9,7 @@ from sins_align.config import OdoConfig, SwingConfig
 from sins_align.consistency import Declared
 from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.odo import make_odo_aligner
-from sins_align.odo.aligner import TURN_MOTION
+from sins_align.odo.publication import TURN_MOTION
 from sins_align.resume import ResumingAidedAligner, ResumingAligner
 from sins_align.status import Completer, Expectation
 from sins_align.stored import StoredAlignment

@@ -13,9 +13,10 @@ from sins_align.odo.doubts import Doubts
 from sins_align.odo.epoch import AidedEpoch, as_measured, integrate_epoch
 from sins_align.odo.filter import AidedFilter
 from sins_align.odo.foresight import Foresight
-from sins_align.odo.knowledge import Knowledge, carry_attitude, knowledge_of
-from sins_align.odo.large_azimuth import LargeAzimuthFilter, start_sigma
+from sins_align.odo.knowledge import Knowledge, carry_attitude, compare_attitudes, knowledge_of
+from sins_align.odo.large_azimuth import LargeAzimuthFilter
 from sins_align.odo.methods import (
+    can_follow,
     coarse_sigma,
     has_large_azimuth,
     has_witness,
@@ -23,26 +24,18 @@ from sins_align.odo.methods import (
 )
 from sins_align.odo.odometer_model import LATENCY
 from sins_align.odo.pairing import EPOCH_S, Paired, Pairing
+from sins_align.odo.publication import (
+    is_polar,
+    is_published,
+    published_latitude,
+    why_not_here,
+    why_not_published,
+)
 from sins_align.odo.standing import StandingDetector
 from sins_align.odo.start import Starter
 from sins_align.odo.wander import WanderFilter
-from sins_align.reasons import (
-    AT_POLE,
-    AZIMUTH_LOST,
-    HEADING_COARSE,
-    HEADING_UNOBSERVABLE,
-    INCONSISTENT,
-    LEVELLING,
-    NO_ODOMETER,
-    UNOBSERVABLE_HERE,
-    Finding,
-)
-from sins_align.rotation import (
-    dcm_from_quaternion,
-    log_rotation,
-    multiply_quaternions,
-    quaternion_from_dcm,
-)
+from sins_align.reasons import AZIMUTH_LOST, LEVELLING, NO_ODOMETER, Finding
+from sins_align.rotation import dcm_from_quaternion, multiply_quaternions, quaternion_from_dcm
 from sins_align.types import (
     Advance,
     Array,
@@ -54,10 +47,6 @@ from sins_align.types import (
     Witness,
 )
 
-# A heading less certain than this is not published.
-PUBLISH_SIGMA = math.radians(3.0)
-# Nor is a first one whose innovations say that sigma is not true.
-PUBLISH_CONSISTENCY = 2.0
 # A filter begins anew when it is no older than so many epochs and one of them contradicts it by
 # so large a normalised square; or than so many, and they do on the whole.
 INFANT_EPOCHS, CONTRADICTION = 8, 100.0
@@ -65,12 +54,6 @@ YOUNG_EPOCHS, DISBELIEF = 60, 6.0
 MOST_BEGINNINGS = 3
 # Once the azimuth is known, nothing is gained by epochs as short as before.
 LONG_EPOCH_S = 2.0
-# A latitude less certain than this is not given out [rad].
-LATITUDE_SIGMA = math.radians(2.0)
-
-TURN_MOTION = "drive a circle, or turn by 90 deg or more"
-# Nearer to a pole the Earth's rate is vertical, and no gyro of a vehicle finds north.
-LEAST_COS_LATITUDE = 0.02
 
 
 class OdoAligner:
@@ -94,7 +77,7 @@ class OdoAligner:
         self._estimate: Estimate | None = None
         self._turned: Array | None = None  # by the IMU samples since the last epoch
         self._limit = heading_limit(config.grade, position.latitude)
-        self._is_polar = math.cos(position.latitude) < LEAST_COS_LATITUDE
+        self._is_polar = is_polar(position.latitude)
 
     def _begin(self) -> None:
         self._starter = Starter(self._config, self._position, coarse_sigma(self._config))
@@ -165,7 +148,7 @@ class OdoAligner:
         self._follow()
         self._known = None if self._filter is None else knowledge_of(self._filter)
         if self._known is not None and self._large is not None and self._wander is not None:
-            self._witness = _compare(self._known, knowledge_of(self._wander))
+            self._witness = compare_attitudes(self._known, knowledge_of(self._wander))
         self._estimate = self._estimate_at(stamp_ns)
         if self._estimate is None:
             return Advance(stamp_ns, None, (*self._doubts_now(), *self._why_not()))
@@ -237,21 +220,13 @@ class OdoAligner:
         if not has_witness(self._config):
             self._large, self._wander = make_large_azimuth_filter(self._config, wander), None
             self._has_lost_azimuth = False
-        elif self._can_start(wander):
+        elif can_follow(self._config, wander):
             self._large = make_large_azimuth_filter(self._config, wander)
-
-    def _can_start(self, wander: WanderFilter) -> bool:
-        """Whether the model of ENU is right for what is known, and that to be believed."""
-        variance = float(knowledge_of(wander).covariance[2, 2])
-        least = start_sigma(self._config.odometer) ** 2
-        return variance < least and wander.consistency <= PUBLISH_CONSISTENCY
 
     def _why_not(self) -> tuple[Finding, ...]:
         """Why there is no estimate yet."""
-        if math.isnan(self._limit):
-            return (AT_POLE(),)
         if self._is_polar:
-            return (UNOBSERVABLE_HERE(limit_deg=math.degrees(self._limit)),)
+            return (why_not_here(self._limit),)
         if self._filter is None:
             if self._has_lost_azimuth:
                 return (AZIMUTH_LOST(),)
@@ -260,15 +235,7 @@ class OdoAligner:
                 return (NO_ODOMETER(),)
             return (LEVELLING(elapsed_s=self._starter.collected_s),)
         assert self._known is not None
-        sigma = math.degrees(math.sqrt(max(float(self._known.covariance[2, 2]), 0.0)))
-        bound = math.degrees(PUBLISH_SIGMA)
-        findings = [HEADING_COARSE(sigma=f"sigma {sigma:.0f} deg, not below {bound:.0f}")]
-        if self._filter.consistency > PUBLISH_CONSISTENCY:
-            findings.append(INCONSISTENT(ratio=self._filter.consistency))
-        elif self._limit > PUBLISH_SIGMA:
-            limit = f"{math.degrees(self._limit):.1f} deg"
-            findings.append(HEADING_UNOBSERVABLE(limit=limit, motion=TURN_MOTION))
-        return tuple(findings)
+        return why_not_published(self._known, self._filter.consistency, self._limit)
 
     @property
     def estimate(self) -> Estimate | None:
@@ -299,11 +266,9 @@ class OdoAligner:
         filter_, knowledge = self._filter, self._known
         if filter_ is None or knowledge is None or self._is_polar:
             return None
+        if not is_published(knowledge, filter_.consistency, is_first=self._estimate is None):
+            return None
         C_nb, covariance = knowledge.C_nb, knowledge.covariance
-        if not covariance[2, 2] < PUBLISH_SIGMA**2:
-            return None
-        if self._estimate is None and not filter_.consistency <= PUBLISH_CONSISTENCY:
-            return None
         if block is not None:
             C_nb, ahead_s = self._carry(filter_, C_nb, block)
             covariance = covariance + self._config.grade.gyro_arw**2 * ahead_s * np.eye(3)
@@ -318,12 +283,8 @@ class OdoAligner:
             odometer=None if self._config.stationary else knowledge.odometer,
             consistency=filter_.consistency,
             witness=self._witness,
-            latitude=self._latitude(),
+            latitude=published_latitude(self._own_latitude()),
         )
-
-    def _latitude(self) -> LatitudeEstimate | None:
-        own = self._own_latitude()
-        return own if own is not None and own.sigma < LATITUDE_SIGMA else None
 
     def _carry(self, filter_: AidedFilter, C_nb: Array, block: ImuBlock) -> tuple[Array, float]:
         """C_nb at the end of `block`, and how far that is from the last epoch's end [s]."""
@@ -337,10 +298,3 @@ class OdoAligner:
         ahead_s = int(block.stamp_ns[-1] - begin_ns) * 1e-9
         turned = dcm_from_quaternion(q / np.linalg.norm(q))
         return carry_attitude(filter_, C_nb, turned, ahead_s), ahead_s
-
-
-def _compare(own: Knowledge, other: Knowledge) -> Witness:
-    """The wander filter's attitude against the one that is given out."""
-    phi = -log_rotation(own.C_nb @ other.C_nb.T)
-    square = phi @ np.linalg.solve(own.covariance + other.covariance, phi)
-    return Witness("wander_kf", phi, float(square) / 3.0)

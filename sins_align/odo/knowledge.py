@@ -10,8 +10,8 @@ import numpy as np
 from sins_align.earth import SEMI_MAJOR_AXIS
 from sins_align.odo.filter import AidedFilter
 from sins_align.odo.layout import ACCEL_BIAS, GYRO_BIAS, ODOMETER, PHI
-from sins_align.rotation import exp_rotation, unskew3
-from sins_align.types import Array, OdometerEstimate
+from sins_align.rotation import exp_rotation, log_rotation, unskew3
+from sins_align.types import Array, OdometerEstimate, Witness
 
 
 class Knowledge(NamedTuple):
@@ -74,3 +74,10 @@ def carry_attitude(filter_: AidedFilter, C_nb: Array, turned: Array, ahead_s: fl
     east = float(C_na[0] @ navigation.v_a)
     w_in[2] += east * float(navigation.e_a[2]) / (filter_.cos_latitude * SEMI_MAJOR_AXIS)
     return exp_rotation(-ahead_s * w_in) @ C_nb @ turned @ exp_rotation(-drift)
+
+
+def compare_attitudes(own: Knowledge, other: Knowledge) -> Witness:
+    """The wander filter's attitude against the one that is given out."""
+    phi = -log_rotation(own.C_nb @ other.C_nb.T)
+    square = phi @ np.linalg.solve(own.covariance + other.covariance, phi)
+    return Witness("wander_kf", phi, float(square) / 3.0)

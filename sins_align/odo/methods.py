@@ -6,6 +6,7 @@ import math
 
 from sins_align.config import OdoConfig
 from sins_align.odo.fading import Fading, NoFading, PublishedFading, ScaleJumpFading
+from sins_align.odo.knowledge import knowledge_of
 from sins_align.odo.large_azimuth import LargeAzimuthFilter, start_sigma
 from sins_align.odo.moments import (
     Cubature,
@@ -14,6 +15,7 @@ from sins_align.odo.moments import (
     ReducedGaussHermite,
     Unscented,
 )
+from sins_align.odo.publication import PUBLISH_CONSISTENCY
 from sins_align.odo.wander import WanderFilter
 from sins_align.parameter_table import LARGE_AZIMUTH_METHODS
 
@@ -38,6 +40,13 @@ def coarse_sigma(config: OdoConfig) -> float | None:
     if has_large_azimuth(config) and not has_witness(config):
         return start_sigma(config.odometer)
     return None
+
+
+def can_follow(config: OdoConfig, wander: WanderFilter) -> bool:
+    """Whether the model of ENU is right for what is known, and that to be believed."""
+    variance = float(knowledge_of(wander).covariance[2, 2])
+    least = start_sigma(config.odometer) ** 2
+    return variance < least and wander.consistency <= PUBLISH_CONSISTENCY
 
 
 def make_large_azimuth_filter(config: OdoConfig, start: WanderFilter) -> LargeAzimuthFilter:
