@@ -15,9 +15,10 @@ from scipy.stats import binom, multivariate_normal
 
 from sins_align.noise_doubt import DOUBTED, FACTOR
 from sins_align.odo.aligner import OdoAligner
+from sins_align.odo.distribution import Taken
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ErrorModel, ImuNoise
-from sins_align.odo.filter import GAP_INDEX, Step, Taken
+from sins_align.odo.filter import GAP_INDEX, Step
 from sins_align.odo.imu_model import imu_noise
 from sins_align.odo.layout import ODOMETER, PHI, SIZE, VELOCITY
 from sins_align.odo.loudness import Loudness

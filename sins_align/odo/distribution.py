@@ -1,4 +1,4 @@
-"""What the steps of a filter hand to each other: distributions of its errors."""
+"""What the steps of a filter hand to each other: distributions of its errors, and a measurement."""
 
 from __future__ import annotations
 
@@ -41,3 +41,19 @@ class Posterior(NamedTuple):
     mean: Array
     P: Array
     phi_by_errors: Array
+
+
+class Taken(NamedTuple):
+    """What was made of a measurement.
+
+    value : (3,) innovation [m]; S : (3, 3) its covariance, noise included [m^2]
+    R : (3, 3) the noise that it was taken in with, which is grown where it was implausible
+    correction : (n,) errors that it took off the estimates
+    jump : variance that the scale, which had jumped, was given first; None: it had not
+    """
+
+    value: Array
+    S: Array
+    R: Array
+    correction: Array
+    jump: float | None

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sins_align.grades import ImuGrade
-from sins_align.odo.distribution import Expected, Forecast, Posterior
+from sins_align.odo.distribution import Expected, Forecast, Posterior, Taken
 from sins_align.odo.epoch import AidedEpoch
 from sins_align.odo.error_model import ErrorModel
 from sins_align.odo.fading import Fading, Innovation
@@ -24,9 +24,6 @@ from sins_align.odo.guards import SOFT_LIMIT, inverse3, soften
 from sins_align.odo.imu_model import gap_noise, imu_noise
 from sins_align.odo.latitude import LengthError
 from sins_align.odo.layout import (
-    ACCEL_BIAS,
-    GYRO_BIAS,
-    GYRO_TURN,
     ODOMETER,
     ODOMETER_POSITION,
     ODOMETER_SCALE,
@@ -39,8 +36,8 @@ from sins_align.odo.odometer_model import LEVER as ODO_LEVER
 from sins_align.odo.odometer_model import POSITION as ODO_POSITION
 from sins_align.odo.odometer_model import OdometerModel
 from sins_align.odo.prior import SensorErrors
-from sins_align.odo.standing import Standing
-from sins_align.rotation import exp_rotation, skew3, unskew3
+from sins_align.odo.standing import Standing, may_stand
+from sins_align.rotation import skew3, unskew3
 from sins_align.types import Array
 
 # The azimuth is known as well as the small-angle model needs it: its variance [rad^2].
@@ -51,33 +48,13 @@ MOST_INCONSISTENT = 20.0  # of one epoch
 # What happened in a longer gap is no error at the epoch's start, as which it is added: the
 # displacement of that epoch would be misread [s].
 LONG_GAP_S = 0.12
-# The navigation's path in an epoch of standing: how far it may be from nothing.
-STANDING_TOLERANCE = 0.01  # [m]
-STANDING_LIMIT = 25.0  # of its normalised square
 # No variance of what is estimated here is as large, in any unit.
 MOST_VARIANCE = 1e12
 
 _EYE = np.eye(3)
-_ONE_AND_A_HALF = 1.5 * _EYE
 _ODOMETER_INDEX = np.arange(ODOMETER.start, ODOMETER.stop)
 _POSITION_INDEX = _ODOMETER_INDEX[ODO_POSITION]
 GAP_INDEX = np.r_[PHI, VELOCITY]
-
-
-class Taken(NamedTuple):
-    """What was made of a measurement.
-
-    value : (3,) innovation [m]; S : (3, 3) its covariance, noise included [m^2]
-    R : (3, 3) the noise that it was taken in with, which is grown where it was implausible
-    correction : (n,) errors that it took off the estimates
-    jump : variance that the scale, which had jumped, was given first; None: it had not
-    """
-
-    value: Array
-    S: Array
-    R: Array
-    correction: Array
-    jump: float | None
 
 
 class Step(NamedTuple):
@@ -177,8 +154,7 @@ class AidedFilter(ABC):
         """(6,) what is to be taken off the samples of an epoch with the rates w_ib_b (3, n+1)."""
         mean = w_ib_b[:, 1:].sum(axis=1) / (w_ib_b.shape[1] - 1)
         rate = float(self.navigation.C_ab[2] @ mean)
-        sensors = self.sensors
-        return np.concatenate((sensors.gyro_bias + rate * sensors.gyro_turn, sensors.accel_bias))
+        return self.sensors.bias(rate)
 
     def process(self, epoch: AidedEpoch, standing: Standing) -> bool:
         """Take in an epoch; the biases must have been taken off its samples.
@@ -196,7 +172,8 @@ class AidedFilter(ABC):
         gap = gap_noise(epoch) if epoch.gap_s > 0.0 else None
         forecast = self._forecast(epoch, course, axis, rate, gap)
         stands = standing is Standing.ASSUMED or (
-            standing is Standing.POSSIBLE and self._may_stand(forecast.P, course.path - position)
+            standing is Standing.POSSIBLE
+            and may_stand(course.path - position, forecast.P[self._path, self._path])
         )
         axes = navigation.C_ab @ odometer.C_bm
         self._add_position_noise(forecast, axes, odometer.position_sigma(stands) ** 2)
@@ -264,11 +241,6 @@ class AidedFilter(ABC):
             P[ODOMETER_POSITION, path] += noise.T
             P[path, path] += noise @ axes.T
 
-    def _may_stand(self, P: Array, path: Array) -> bool:
-        """Whether the navigation's path (3,) may be none at all [m]."""
-        S = P[self._path, self._path] + STANDING_TOLERANCE**2 * _EYE
-        return bool(path @ np.linalg.solve(S, path) < STANDING_LIMIT)
-
     def _update(
         self, forecast: Forecast, H: Array, R: Array, residual: Array, path: Array, distance: float
     ) -> tuple[Innovation, Taken]:
@@ -320,12 +292,6 @@ class AidedFilter(ABC):
 
     def _correct_shared(self, dx: Array) -> None:
         """Take the shared part of estimated errors (SHARED or more,) off the estimates."""
-        navigation, sensors = self.navigation, self.sensors
-        C = exp_rotation(dx[PHI]) @ navigation.C_ab
-        navigation.C_ab = C @ (_ONE_AND_A_HALF - 0.5 * (C.T @ C))  # stays orthogonal
-        navigation.v_a = navigation.v_a - dx[VELOCITY]
-        # These errors are what is left in the samples: true minus estimated.
-        sensors.gyro_bias = sensors.gyro_bias + dx[GYRO_BIAS]
-        sensors.accel_bias = sensors.accel_bias + dx[ACCEL_BIAS]
-        sensors.gyro_turn = sensors.gyro_turn + dx[GYRO_TURN]
+        self.navigation.correct(dx[PHI], dx[VELOCITY])
+        self.sensors.correct(dx)
         self.odometer.x = self.odometer.x - dx[ODOMETER]

@@ -30,6 +30,8 @@ from sins_align.types import Array, Position
 
 SECOND_ECCENTRICITY_SQUARED = ECCENTRICITY_SQUARED / (1.0 - ECCENTRICITY_SQUARED)
 
+_ONE_AND_A_HALF = 1.5 * np.eye(3)
+
 
 class Course(NamedTuple):
     """What a navigation step went through; vectors in a at the start of the epoch.
@@ -123,3 +125,9 @@ class WanderNavigation:
         self.e_a = self.e_a - T * cross3(w_ea, self.e_a)
         self.altitude += float(path[2])
         return Course(C, v_start, U, S, path, area, w_ia, w_2, transverse + self.altitude)
+
+    def correct(self, phi: Array, dv_a: Array) -> None:
+        """Take estimated errors off: misalignment (3,) [rad], velocity error (3,) [m/s]."""
+        C = exp_rotation(phi) @ self.C_ab
+        self.C_ab = C @ (_ONE_AND_A_HALF - 0.5 * (C.T @ C))  # stays orthogonal
+        self.v_a = self.v_a - dv_a

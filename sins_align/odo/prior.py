@@ -36,6 +36,17 @@ class SensorErrors:
     accel_prior: Array
     accel_triad: Array
 
+    def bias(self, rate: float) -> Array:
+        """(6,) of gyros and accelerometers while the vehicle turns about up at `rate` [rad/s]."""
+        return np.concatenate((self.gyro_bias + rate * self.gyro_turn, self.accel_bias))
+
+    def correct(self, dx: Array) -> None:
+        """Take estimated errors (SHARED or more,) off: of what is left in the samples."""
+        # These errors are true minus estimated.
+        self.gyro_bias = self.gyro_bias + dx[GYRO_BIAS]
+        self.accel_bias = self.accel_bias + dx[ACCEL_BIAS]
+        self.gyro_turn = self.gyro_turn + dx[GYRO_TURN]
+
 
 def shared_prior(
     grade: ImuGrade, up_b: Array, odometer: OdometerModel, level_sigma: float, velocity_sigma: float

@@ -1,12 +1,15 @@
-"""Whether the vehicle stands, as far as IMU and odometer tell without a filter."""
+"""Whether the vehicle stands: by IMU and odometer without a filter, and by the navigation."""
 
 from __future__ import annotations
 
 import enum
 import math
 
+import numpy as np
+
 from sins_align.grades import ImuGrade
 from sins_align.odo.epoch import AidedEpoch
+from sins_align.types import Array
 
 # Unrest of IMU samples in an epoch, beyond their white noise, of a vehicle that stands with
 # its engine running and its passengers moving.
@@ -17,6 +20,9 @@ NOISE_FACTOR = 2.0
 UNREST_RATIO = 2.0
 LEAST_RATE = 5e-4  # [rad/s]
 LEAST_FORCE = 0.01  # [m/s^2]
+# The navigation's path in an epoch of standing: how far it may be from nothing.
+STANDING_TOLERANCE = 0.01  # [m]
+STANDING_LIMIT = 25.0  # of its normalised square
 
 
 class Standing(enum.Enum):
@@ -80,3 +86,9 @@ class StandingDetector:
             else:
                 self._unrest = epoch.unrest
         self._standing = standing
+
+
+def may_stand(path: Array, covariance: Array) -> bool:
+    """Whether the navigation's path (3,), of covariance (3, 3), may be none at all [m], [m^2]."""
+    S = covariance + STANDING_TOLERANCE**2 * np.eye(3)
+    return bool(path @ np.linalg.solve(S, path) < STANDING_LIMIT)
