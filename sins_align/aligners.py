@@ -10,7 +10,8 @@ from sins_align.consistency import Declared
 from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.odo import make_odo_aligner
 from sins_align.odo.publication import TURN_MOTION
-from sins_align.resume import ResumingAidedAligner, ResumingAligner
+from sins_align.resume import ResumingAligner
+from sins_align.resume_aided import ResumingAidedAligner
 from sins_align.status import Completer, Expectation
 from sins_align.stored import StoredAlignment
 from sins_align.swing import make_aligner

@@ -21,14 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sins_align.carried import (
-    Carried,
-    Carrier,
-    begin,
-    carry,
-    misalignment_covariance,
-    spread,
-)
+from sins_align.carried import Carried, Carrier, begin, carry, misalignment_covariance, spread
 from sins_align.config import OdoConfig, SwingConfig
 from sins_align.consistency import MAX_CONSISTENCY
 from sins_align.earth import earth_rate_n
@@ -43,37 +36,16 @@ from sins_align.reasons import (
 )
 from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
 from sins_align.stored import StoredAlignment
-from sins_align.stored_check import (
-    CHECK_S,
-    CHI_SQUARE_LIMIT,
-    HEADING_SIGMA,
-    Passed,
-    StoredCheck,
-)
-from sins_align.types import (
-    Advance,
-    AidedAligner,
-    Aligner,
-    Array,
-    Estimate,
-    ImuBlock,
-    OdometerSamples,
-    Position,
-)
+from sins_align.stored_check import CHECK_S, CHI_SQUARE_LIMIT, HEADING_SIGMA, Passed, StoredCheck
+from sins_align.types import Advance, Aligner, Array, Estimate, ImuBlock, Position
 from sins_align.units import ARCMIN
 
 # Chi-square of 3 degrees of freedom with one false alarm in 1e5: it is asked again and again.
 AGREEMENT_LIMIT = 25.90
-# So much earlier than the check the samples of the odometer that count for it end [ns].
-LATENCY_MARGIN_NS = 1_000_000_000
-# The vehicle drives when its odometer says so for half of the check [m/s].
-DRIVING_SPEED = 0.1
-
 # Doubts of the aligner proper on what a stored attitude hangs on too: the gyros, the Earth's rate.
 SHARED_DOUBTS = (GYRO_NOISY, LATITUDE_DOUBTED)
 
 CONTRADICTED = "the new one differs by {angle:.2g}' in heading (sigma {sigma:.2g}')"
-DRIVES = "the vehicle drives"
 MOVED = "the vehicle has moved"
 
 
@@ -313,46 +285,3 @@ def _cut(block: ImuBlock, part: slice) -> ImuBlock:
 def _heading_variance(estimate: Estimate) -> float:
     P: Array = estimate.misalignment_covariance
     return float(P[2, 2])
-
-
-class ResumingAidedAligner(ResumingAligner):
-    """`ResumingAligner` for one that needs an odometer; fulfils `AidedAligner`."""
-
-    def __init__(
-        self,
-        aligner: AidedAligner,
-        config: OdoConfig,
-        position: Position,
-        stored: StoredAlignment,
-    ) -> None:
-        super().__init__(aligner, config, position, stored)
-        self._aided = aligner
-        self._latency_ns = round(config.odometer.latency * 1e9)
-        self._samples: list[OdometerSamples] = []  # while the check goes on
-
-    def update(self, block: ImuBlock) -> list[Advance]:
-        """Take in the next block; a step for each of the aligner proper."""
-        self._keep(block)
-        return self._pass_on(self._aided.update(block))
-
-    def aid(self, samples: OdometerSamples) -> list[Advance]:
-        """Take in samples of the odometer; a step for each of the aligner proper."""
-        if self._check is not None:
-            self._samples.append(samples)
-        return self._pass_on(self._aided.aid(samples))
-
-    def _doubt(self) -> str:
-        """A vehicle that drives straight on is as still as one that stands.
-
-        By samples that the aligner proper has not come so far without, whatever latency it finds.
-        """
-        begin_ns = self._stamp_ns - round(CHECK_S * 1e9) + self._latency_ns
-        end_ns = self._stamp_ns - LATENCY_MARGIN_NS + self._latency_ns
-        speeds = [
-            speed
-            for samples in self._samples
-            for stamp_ns, speed in zip(samples.stamp_ns.tolist(), samples.speed, strict=True)
-            if begin_ns <= stamp_ns <= end_ns
-        ]
-        self._samples = []
-        return DRIVES if speeds and float(np.median(np.abs(speeds))) > DRIVING_SPEED else ""
