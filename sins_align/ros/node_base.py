@@ -22,7 +22,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from sins_align.config import completion_of
-from sins_align.reasons import BEGAN_ANEW, IMU_SILENT, NO_IMU, Finding, Kind
+from sins_align.reasons import IMU_SILENT, NO_IMU, Finding
 from sins_align.ros import messages
 from sins_align.ros.command import error_text
 from sins_align.ros.diagnostics import diagnostic_status, key_values
@@ -34,6 +34,7 @@ from sins_align.ros.portable_messages import pose_message, ros_types
 from sins_align.ros.pose import latched_poses
 from sins_align.ros.publish_grid import PublishGrid, find_sample
 from sins_align.ros.result_file import ResultFile
+from sins_align.ros.status_log import StatusLog
 from sins_align.session import Session, Update
 from sins_align.types import Estimate, ImuSamples, State, Status
 
@@ -85,10 +86,7 @@ class AlignNode(ParameterNode):
         self._frames_warned = False
         self._silence = SilenceWatch()
         self._eta = EtaClock()
-        self._logged_state = self.session.status.state
-        self._logged_keys: set[str] = set()
-        self._logged_inputs: set[str] = set()
-        self._logged_restarts = 0
+        self._log = StatusLog(self.get_logger, self.session)
         self._aligned = False
         self._create_outputs()
         self._create_inputs()
@@ -211,42 +209,14 @@ class AlignNode(ParameterNode):
             self.get_logger().warning(f"topic imu: {self._inbox.frames_warning}")
 
     def _announce(self, status: Status) -> None:
-        """Log a change of state, and publish one of `aligned`."""
-        restarts = self.session.restarts
-        if restarts != self._logged_restarts:
-            self._logged_restarts = restarts
-            self._logged_state = State.WAITING
-            self._logged_keys = {BEGAN_ANEW.key}
-            self.get_logger().warning(f"the alignment began anew: {self.session.begin_reason}")
-        if status.state is not self._logged_state:
-            self._logged_state = status.state
-            self._log(status.state, ": ".join(filter(None, (status.state.value, status.reason))))
-            self._logged_keys = set(status.keys)
-        for finding in status.findings:
-            key, kind = finding.reason.key, finding.reason.kind
-            if key not in self._logged_keys and kind is not Kind.PROGRESS:
-                self._logged_keys.add(key)
-                self._log(status.state, f"{status.state.value}: {finding.text}")
+        """Log what is new of the status, and publish a change of `aligned`."""
+        self._log.tell(status)
         aligned = status.state is State.ALIGNED
         if aligned != self._aligned:
             self._aligned = aligned
             self.send(self._aligned_publisher, Bool(data=aligned))
             if aligned:
                 self._save()
-
-    def _log_inputs(self, inputs: list[Finding]) -> None:
-        """Log what is new of it, unless the status has said it."""
-        told = self._logged_inputs | set(self.session.status.keys)
-        for finding in inputs:
-            if finding.reason.key not in told:
-                self.get_logger().warning(finding.text)
-        self._logged_inputs = {finding.reason.key for finding in inputs}
-
-    def _log(self, state: State, text: str) -> None:
-        if state is State.FAILED:
-            self.get_logger().error(text)
-        else:
-            self.get_logger().info(text)
 
     def _publish_attitude(self, samples: ImuSamples, stamp_ns: int) -> None:
         estimate = self.session.estimate
@@ -320,7 +290,7 @@ class AlignNode(ParameterNode):
         if silent_s is not None:
             never = self.session.counts.imu_samples == 0
             inputs.append(NO_IMU() if never else IMU_SILENT(silent_s=silent_s))
-        self._log_inputs(inputs)
+        self._log.tell_inputs(inputs)
         # Without samples no time to go runs down.
         eta_s = math.nan if inputs and not self._aligned else self._eta.eta_s(self.session)
         status = diagnostic_status(self.session, name, estimate, eta_s, tuple(inputs))
