@@ -20,8 +20,8 @@ from sins_align.ros.node_base import AlignNode
 from sins_align.ros.odometer import OdometerRow, odometer_row, odometer_samples
 from sins_align.ros.portable_messages import ros_types
 from sins_align.ros.run_node import prepare_aligner, run_node
-from sins_align.session import Session, Update
-from sins_align.types import Estimate
+from sins_align.session import Session
+from sins_align.types import Estimate, Update
 
 NAME = "odo_align"
 ODOM_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)

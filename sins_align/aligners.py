@@ -10,12 +10,13 @@ from sins_align.consistency import Declared
 from sins_align.earth import GRAVITY_EQUATOR
 from sins_align.odo import make_odo_aligner
 from sins_align.odo.publication import TURN_MOTION
+from sins_align.protocols import AidedAligner, Aligner
 from sins_align.resume import ResumingAligner
 from sins_align.resume_aided import ResumingAidedAligner
 from sins_align.status import Completer, Expectation
 from sins_align.stored import StoredAlignment
 from sins_align.swing import make_aligner
-from sins_align.types import AidedAligner, Aligner, Position
+from sins_align.types import Position
 
 TURN_BASE = "turn the base by 90 deg or more"
 

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from sins_align.config import Completion
+from sins_align.protocols import Aligner
 from sins_align.reasons import HEADING_SIGMA, HOLDING, LEVEL_LIMIT, Kind
-from sins_align.types import Aligner, State, Status
+from sins_align.types import State, Status
 
 
 def predict_completion(

@@ -25,6 +25,7 @@ from sins_align.carried import Carried, Carrier, begin, carry, misalignment_cova
 from sins_align.config import OdoConfig, SwingConfig
 from sins_align.consistency import MAX_CONSISTENCY
 from sins_align.earth import earth_rate_n
+from sins_align.protocols import Aligner
 from sins_align.reasons import (
     GYRO_NOISY,
     LATITUDE_DOUBTED,
@@ -37,7 +38,7 @@ from sins_align.reasons import (
 from sins_align.rotation import dcm_from_quaternion, log_rotation, quaternion_from_dcm
 from sins_align.stored import StoredAlignment
 from sins_align.stored_check import CHECK_S, CHI_SQUARE_LIMIT, HEADING_SIGMA, Passed, StoredCheck
-from sins_align.types import Advance, Aligner, Array, Estimate, ImuBlock, Position
+from sins_align.types import Advance, Array, Estimate, ImuBlock, Position
 from sins_align.units import ARCMIN
 
 # Chi-square of 3 degrees of freedom with one false alarm in 1e5: it is asked again and again.

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from sins_align.config import OdoConfig
+from sins_align.protocols import AidedAligner
 from sins_align.resume import ResumingAligner
 from sins_align.stored import StoredAlignment
 from sins_align.stored_check import CHECK_S
-from sins_align.types import Advance, AidedAligner, ImuBlock, OdometerSamples, Position
+from sins_align.types import Advance, ImuBlock, OdometerSamples, Position
 
 # So much earlier than the check the samples of the odometer that count for it end [ns].
 LATENCY_MARGIN_NS = 1_000_000_000

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,13 +20,12 @@ from sins_align.data_watch import DataWatch
 from sins_align.intake import Intake
 from sins_align.odo.odometer_intake import OdometerIntake
 from sins_align.prediction import predict_completion
+from sins_align.protocols import AidedAligner, Aligner
 from sins_align.reasons import ESTIMATE_BROKE, STORED_DROPPED, VEHICLE_MOVES, Finding
 from sins_align.soundness import check_arrays, check_odometer_arrays, check_position, is_sound
 from sins_align.status import waiting_findings
 from sins_align.types import (
     Advance,
-    AidedAligner,
-    Aligner,
     Estimate,
     ImuBlock,
     ImuSamples,
@@ -36,18 +34,11 @@ from sins_align.types import (
     Position,
     State,
     Status,
+    Update,
 )
 
 HAD_MOVED = "the vehicle had moved"
 ANEW = "the alignment began anew: {why}"
-
-
-class Update(NamedTuple):
-    """What one block of samples led to."""
-
-    stamp_ns: int
-    estimate: Estimate | None
-    status: Status
 
 
 class Session:
@@ -86,11 +77,10 @@ class Session:
         if self._position is None:
             return
         self._aligner, self._aided = make_aligners(self._config, self._position, self._initial)
-        if self._aided is None:
-            return
-        waiting = self._odometer_intake.useful(at_ns)
-        if len(waiting):
-            self._aided.aid(waiting)
+        if self._aided is not None:
+            waiting = self._odometer_intake.useful(at_ns)
+            if len(waiting):
+                self._aided.aid(waiting)
 
     @property
     def config(self) -> SwingConfig | OdoConfig:

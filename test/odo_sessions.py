@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sins_align.config import OdoConfig, odo_config
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import VehicleOptions, VehicleRun, simulate_vehicle
-from sins_align.types import Array, Estimate
+from sins_align.types import Array, Estimate, Update
 
 
 @cache

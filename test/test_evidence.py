@@ -17,9 +17,8 @@ from evidence.odo_figures import below_since, divergence, heading_errors, nees, 
 from evidence.odo_recording import RecordedSession, Start
 from evidence.odo_runs import drive, every_drive, false_claims, make_config
 from sins_align.rotation import dcm_from_quaternion
-from sins_align.session import Update
 from sins_align.simulate import VehicleOptions, simulate_vehicle
-from sins_align.types import Estimate, State, Status
+from sins_align.types import Estimate, State, Status, Update
 from sins_align.units import ARCMIN
 
 RUN = Path(__file__).resolve().parent.parent / "evidence" / "run.py"

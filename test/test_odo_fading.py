@@ -14,8 +14,7 @@ from sins_align.odo import large_azimuth
 from sins_align.odo.fading import Innovation, PublishedFading, ScaleJumpFading
 from sins_align.odo.layout import ENU_SIZE, ODOMETER
 from sins_align.odo.odometer_model import SCALE
-from sins_align.session import Update
-from sins_align.types import Array, State
+from sins_align.types import Array, State, Update
 
 ARCMIN = math.radians(1.0 / 60.0)
 N = ENU_SIZE + 3

@@ -12,9 +12,9 @@ import pytest
 from odo_sessions import Curve, align, config_of, curve_of, misalignment, vehicle
 
 from sins_align.grades import ConfigError
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import VehicleOptions, VehicleRun, simulate_vehicle
-from sins_align.types import Estimate, State
+from sins_align.types import Estimate, State, Update
 
 ARCMIN = math.radians(1.0 / 60.0)
 DEGREE = math.radians(1.0)

@@ -11,9 +11,9 @@ from odo_sessions import align, config_of, vehicle
 from sins_align.odo.epoch import integrate_epoch
 from sins_align.odo.pairing import Pairing
 from sins_align.odo.plausibility import OdometerPlausibility, Slope
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import VehicleRun
-from sins_align.types import Estimate, ImuBlock, OdometerSamples, State
+from sins_align.types import Estimate, ImuBlock, OdometerSamples, State, Update
 from sins_align.units import ARCMIN
 
 LIMITS = {"heading_threshold_arcmin": 20.0, "level_threshold_arcsec": 60.0, "hold_s": 3.0}

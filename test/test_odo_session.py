@@ -37,10 +37,10 @@ from evidence.odo_runs import Drive, drive, make_config
 from sins_align.config import OdoConfig
 from sins_align.limits import heading_limit
 from sins_align.odo.standing import StandingDetector
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import VehicleOptions, VehicleRun
 from sins_align.soundness import is_sound
-from sins_align.types import Estimate, ImuSamples, OdometerSamples, Position, State
+from sins_align.types import Estimate, ImuSamples, OdometerSamples, Position, State, Update
 from sins_align.units import ARCMIN, DEG
 
 SECOND = 1_000_000_000

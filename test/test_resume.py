@@ -28,7 +28,7 @@ from sins_align.reasons import GYRO_NOISY, LATITUDE_DOUBTED, STORED_DROPPED, Fin
 from sins_align.resume import AGREEMENT_LIMIT, ResumingAligner
 from sins_align.ros.result import Timing, result_document, result_text
 from sins_align.rotation import exp_rotation, quaternion_from_dcm
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import (
     SwingOptions,
     SwingRun,
@@ -41,7 +41,16 @@ from sins_align.simulate import (
 )
 from sins_align.stored import StoredAlignment, stored_alignment
 from sins_align.stored_check import CHECK_S, CHI_SQUARE_LIMIT, DEGREES
-from sins_align.types import Advance, Array, Estimate, ImuBlock, ImuSamples, InputCounts, State
+from sins_align.types import (
+    Advance,
+    Array,
+    Estimate,
+    ImuBlock,
+    ImuSamples,
+    InputCounts,
+    State,
+    Update,
+)
 from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
 
 SECOND = 1_000_000_000

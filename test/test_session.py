@@ -14,10 +14,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sins_align.config import SwingConfig, swing_config
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
 from sins_align.soundness import is_sound
-from sins_align.types import Advance, Estimate, ImuBlock, ImuSamples, ImuSampling, Position, State
+from sins_align.types import (
+    Advance,
+    Estimate,
+    ImuBlock,
+    ImuSamples,
+    ImuSampling,
+    Position,
+    State,
+    Update,
+)
 from sins_align.units import DEG
 
 SECOND = 1_000_000_000

@@ -10,9 +10,9 @@ import pytest
 
 from sins_align.config import SwingConfig, swing_config
 from sins_align.ros.eta import EtaClock
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
-from sins_align.types import Estimate, ImuSamples, State
+from sins_align.types import Estimate, ImuSamples, State, Update
 from sins_align.units import DEG
 
 SECOND = 1_000_000_000

@@ -14,12 +14,12 @@ from swing_filtered import OPTIONS, Filtered, filter_run
 from evidence.monte_carlo import misalignment_of
 from sins_align.config import swing_config
 from sins_align.rotation import exp_rotation
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import SwingOptions, SwingRun, simulate_swing
 from sins_align.swing import modes
 from sins_align.swing.backtracking import COARSE_SIGMA
 from sins_align.swing.solution import KAPPA
-from sins_align.types import Array
+from sins_align.types import Array, Update
 
 SEEDS = range(40)
 DURATION_S = 14.0

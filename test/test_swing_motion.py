@@ -10,9 +10,9 @@ import pytest
 
 from sins_align.config import swing_config
 from sins_align.rotation import dcm_from_quaternion, log_rotation
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import SwingOptions, simulate_swing
-from sins_align.types import State
+from sins_align.types import State, Update
 
 DRIVE_S, STOP_S = 90.0, 20.0
 THRESHOLDS = {

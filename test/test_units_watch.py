@@ -10,9 +10,9 @@ import pytest
 from odo_sessions import align, vehicle
 
 from sins_align.config import swing_config
-from sins_align.session import Session, Update
+from sins_align.session import Session
 from sins_align.simulate import SCENARIOS, SwingOptions, simulate_swing
-from sins_align.types import Array, ImuBlock, ImuSamples, ImuSampling, State
+from sins_align.types import Array, ImuBlock, ImuSamples, ImuSampling, State, Update
 from sins_align.units import DEG
 from sins_align.units_watch import VERDICTS, UnitsWatch
 

@@ -2,7 +2,8 @@
 
 from sins_align.config import OdoConfig
 from sins_align.odo.aligner import OdoAligner
-from sins_align.types import AidedAligner, Position
+from sins_align.protocols import AidedAligner
+from sins_align.types import Position
 
 
 def make_odo_aligner(config: OdoConfig, position: Position) -> AidedAligner:

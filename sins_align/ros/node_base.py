@@ -35,8 +35,8 @@ from sins_align.ros.pose import latched_poses
 from sins_align.ros.publish_grid import PublishGrid, find_sample
 from sins_align.ros.result_file import ResultFile
 from sins_align.ros.status_log import StatusLog
-from sins_align.session import Session, Update
-from sins_align.types import Estimate, ImuSamples, State, Status
+from sins_align.session import Session
+from sins_align.types import Estimate, ImuSamples, State, Status, Update
 
 RCLError = rclpy_implementation.RCLError
 

@@ -12,8 +12,8 @@ from sins_align.ros.bags import Bag, Part
 from sins_align.ros.publish_grid import PublishGrid, find_sample
 from sins_align.ros.replay_feed import OdometerFeed
 from sins_align.ros.truth import Truth
-from sins_align.session import Session, Update
-from sins_align.types import Array, Estimate, ImuSamples, OdometerSamples
+from sins_align.session import Session
+from sins_align.types import Array, Estimate, ImuSamples, OdometerSamples, Update
 
 
 @dataclass(frozen=True)

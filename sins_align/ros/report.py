@@ -19,8 +19,7 @@ from sins_align.ros.result import (
 from sins_align.ros.result_table import HEAD, footer, result_rows, verdict
 from sins_align.ros.truth import Truth
 from sins_align.ros.whole_file import write_text_whole
-from sins_align.session import Update
-from sins_align.types import Array, Estimate, OdometerEstimate
+from sins_align.types import Array, Estimate, OdometerEstimate, Update
 from sins_align.units import ARCMIN, DEG
 
 _ANGLES = ("roll", "pitch", "heading")

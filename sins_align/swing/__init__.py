@@ -1,9 +1,10 @@
 """Self-alignment on a base that swings about a fixed, unknown centre."""
 
 from sins_align.config import SwingConfig
+from sins_align.protocols import Aligner
 from sins_align.swing.guarded import GuardedAligner
 from sins_align.swing.inertial import InertialAligner
-from sins_align.types import Aligner, Position
+from sins_align.types import Position
 
 
 def make_aligner(config: SwingConfig, position: Position) -> Aligner:

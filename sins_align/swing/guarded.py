@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable
 
 from sins_align.earth import earth_rate_n
+from sins_align.protocols import Aligner
 from sins_align.reasons import AT_POLE, VEHICLE_MOVES
 from sins_align.swing.motion import STILL, MotionWatch
-from sins_align.types import Advance, Aligner, Estimate, ImuBlock, ImuSampling, Position
+from sins_align.types import Advance, Estimate, ImuBlock, ImuSampling, Position
 
 # A heading so old and so good is right enough for the Earth's axis [s], [rad].
 BELIEVED_S, BELIEVED_SIGMA = 45.0, 0.35
