@@ -11,8 +11,9 @@ import pytest
 from scipy.stats import chi2
 
 from sins_align.config import odo_config
-from sins_align.odo.coarse import CoarseAligner, CoarseAttitude, transition
+from sins_align.odo.coarse import CoarseAligner, CoarseAttitude
 from sins_align.odo.coarse_solution import find_rotation, heading_variance
+from sins_align.odo.coarse_transition import transition
 from sins_align.odo.epoch import AidedEpoch, Travel, integrate_epoch
 from sins_align.odo.pairing import Pairing
 from sins_align.rotation import dcm_from_rpy, log_rotation, unskew

@@ -39,7 +39,6 @@ the gap; where it contradicts, the displacement of the epoch counts for little.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +56,7 @@ from sins_align.odo.coarse_solution import (
     Solution,
     solve_sums,
 )
+from sins_align.odo.coarse_transition import transition
 from sins_align.odo.epoch import AidedEpoch, Travel
 from sins_align.rotation import exp_rotation, skew3
 from sins_align.types import Array, Position
@@ -281,23 +281,3 @@ def _times_columns(a: Array, M: Array) -> Array:
     """M @ (a_1 R_e + a_2 R_n + a_3 R_u) as a function of the columns of R: (3, 9)."""
     product: Array = a[np.newaxis, :, np.newaxis] * M[:, np.newaxis, :]
     return product.reshape(3, 9)
-
-
-@lru_cache(maxsize=16)
-def transition(T: float, accel: float, tilt: float) -> tuple[Array, Array]:
-    """Transition of position, velocity, acceleration over T, and what is added: (9, 9) each.
-
-    accel, tilt : densities of white noise of the acceleration [m/s/sqrt(s)] and of its rate
-        [m/s^2/sqrt(s)]
-    """
-    F = np.array([[1.0, T, T**2 / 2.0], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
-    of_accel = np.array([[T**3 / 3.0, T**2 / 2.0, 0.0], [T**2 / 2.0, T, 0.0], [0.0, 0.0, 0.0]])
-    of_tilt = np.array(
-        [
-            [T**5 / 20.0, T**4 / 8.0, T**3 / 6.0],
-            [T**4 / 8.0, T**3 / 3.0, T**2 / 2.0],
-            [T**3 / 6.0, T**2 / 2.0, T],
-        ]
-    )
-    Q = accel**2 * of_accel + tilt**2 * of_tilt
-    return np.kron(F, UNIT).astype(np.float64), np.kron(Q, UNIT).astype(np.float64)
