@@ -8,6 +8,22 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from completed_estimates import (
+    COMPLETION,
+    DECLARED,
+    HEADING,
+    HOLD_S,
+    LATITUDE,
+    LEVEL,
+    ODOMETER,
+    PERFECT,
+    POSITION,
+    aligned_completer,
+    estimate,
+    expecting,
+    having,
+    status_of,
+)
 from scipy.stats import chi2
 
 from sins_align.config import Completion
@@ -17,9 +33,8 @@ from sins_align.consistency import (
     MAX_DISAGREEMENT,
     MAX_UNSTEADINESS,
     RARE_GYRO_BIAS,
-    Declared,
 )
-from sins_align.earth import EARTH_RATE, GRAVITY_EQUATOR
+from sins_align.earth import EARTH_RATE
 from sins_align.grades import ImuGrade
 from sins_align.limits import HYSTERESIS
 from sins_align.reasons import (
@@ -27,87 +42,17 @@ from sins_align.reasons import (
     AXES_DIFFER,
     ESTIMATE_BROKE,
     GYRO_IN_DEGREES,
-    LATITUDE_DOUBTED,
     LEVELLING,
     REASONS,
     STORED_DROPPED,
     SWING_WEAK,
     UNOBSERVABLE_HERE,
-    Finding,
     Kind,
     Reason,
 )
 from sins_align.status import FINE_HEADING_SIGMA, Completer, Expectation
-from sins_align.types import (
-    Advance,
-    Estimate,
-    LatitudeEstimate,
-    OdometerEstimate,
-    Position,
-    State,
-    Status,
-    Witness,
-)
-from sins_align.units import ARCMIN, ARCSEC, DEG, DEG_PER_H
-
-HEADING, LEVEL, HOLD_S = 6.0 * ARCMIN, 30.0 * ARCSEC, 10.0
-COMPLETION = Completion(HEADING, LEVEL, HOLD_S)
-LATITUDE = 40.0 * DEG
-POSITION = Position(LATITUDE)
-PERFECT = Expectation(ImuGrade(), POSITION)
-UNDECLARED = Declared()
-BELOW = 0.99
-
-
-def expecting(
-    heading_limit: float = 0.0,
-    level_limit: float = 0.0,
-    declared: Declared = UNDECLARED,
-    latitude_check: str = "off",
-    motion: str = "turn the base by 90 deg or more",
-) -> Expectation:
-    """Of sensors that allow so much and no better, however long they stand [rad]."""
-    gyro_bias = heading_limit * EARTH_RATE * math.cos(LATITUDE)
-    grade = ImuGrade(gyro_bias=gyro_bias, accel_bias=level_limit * GRAVITY_EQUATOR)
-    return Expectation(grade, POSITION, declared, latitude_check, motion)
-
-
-# The length of a gyro bias of which the data tell all three components.
-ALL_TOLD = math.sqrt(chi2.isf(RARE_GYRO_BIAS, 3))
-
-
-def estimate(
-    heading: float = BELOW * HEADING, east: float = BELOW * LEVEL, north: float = BELOW * LEVEL
-) -> Estimate:
-    nothing = np.zeros(3)
-    return Estimate(
-        stamp_ns=0,
-        q_nb=np.array([1.0, 0.0, 0.0, 0.0]),
-        misalignment_covariance=np.diag(np.square([east, north, heading])),
-        gyro_bias=nothing,
-        gyro_bias_sigma=nothing,
-        accel_bias=nothing,
-        accel_bias_sigma=nothing,
-        consistency=1.0,
-    )
-
-
-def status_of(
-    found: Estimate | None, expectation: Expectation = PERFECT, findings: tuple[Finding, ...] = ()
-) -> Status:
-    """Held long enough."""
-    completer = Completer(COMPLETION, expectation)
-    completer.update(Advance(0, found, findings), 1.0)
-    return completer.update(Advance(0, found, findings), 1.0 + HOLD_S)
-
-
-def aligned_completer(expectation: Expectation = PERFECT) -> Completer:
-    """One that has been aligned since 10 s."""
-    completer = Completer(COMPLETION, expectation)
-    completer.update(Advance(0, estimate()), 0.0)
-    assert completer.update(Advance(0, estimate()), HOLD_S).state is State.ALIGNED
-    return completer
-
+from sins_align.types import Advance, Estimate, Position, State, Status, Witness
+from sins_align.units import DEG
 
 # -- without an estimate
 
@@ -242,16 +187,8 @@ def test_coarse_and_fine() -> None:
 
 # -- hysteresis
 
-ODOMETER = OdometerEstimate(
-    0.0, 0.01, 0.0, 0.1, np.zeros(3), np.eye(3), np.zeros(3), np.eye(3)
-)  # fmt: skip
-DECLARED = Declared(gyro_bias=1e-6, accel_bias=1e-3, odometer_scale=0.01)
-
-
-def having(**changes: object) -> Estimate:
-    return dataclasses.replace(estimate(), **changes)
-
-
+# The length of a gyro bias of which the data tell all three components.
+ALL_TOLD = math.sqrt(chi2.isf(RARE_GYRO_BIAS, 3))
 # What a criterion looks at, so many times its bound.
 CRITERIA: dict[str, Callable[[float], Estimate]] = {
     "heading_sigma": lambda k: estimate(heading=k * HEADING),
@@ -363,91 +300,6 @@ def test_without_a_position_no_limit_is_claimed() -> None:
     assert math.isnan(status.heading_limit)
 
 
-# -- doubts
-
-
-@pytest.mark.parametrize("what", ["heading", "east", "north"])
-def test_not_a_number_is_never_aligned(what: str) -> None:
-    status = status_of(estimate(**{what: math.nan}))
-    assert status.state in (State.COARSE, State.FINE)
-    assert status.reason
-    assert status.aligned_at_s is None
-    held = aligned_completer().update(Advance(0, estimate(**{what: math.nan})), 11.0)
-    assert held.state in (State.COARSE, State.FINE)
-
-
-def test_innovations_that_do_not_fit_are_not_aligned() -> None:
-    unknown = status_of(having(consistency=math.nan))  # without an innovation yet
-    assert unknown.state is State.FINE and unknown.keys == ("unproven",)
-    status = status_of(dataclasses.replace(estimate(), consistency=2.5))
-    assert status.state is State.FINE
-    assert "2.5 times" in status.reason and "imu_grade" in status.remedy
-    # A base that is stiller than declared.
-    assert status_of(having(consistency=0.01)).state is State.ALIGNED
-
-
-def test_an_attitude_that_changes_too_much_is_not_aligned() -> None:
-    """Heading has changed by 5 sigma of what it may."""
-    assert status_of(having(steadiness=15.9)).state is State.ALIGNED
-    status = status_of(having(steadiness=25.0))
-    assert (status.state, status.keys) == (State.FINE, ("unsteady",))
-    assert "changed by 5.0 times the sigma" in status.reason
-    assert "gyro_arw_deg_sqrt_h" in status.remedy
-    assert status_of(having(steadiness=math.nan)).keys == ("unproven",)
-    assert status_of(having(steadiness=None)).state is State.ALIGNED
-
-
-def test_a_bias_beyond_the_declared_one_is_not_aligned() -> None:
-    found = having(gyro_bias=np.array([0.0, -6e-6, 0.0]))
-    assert status_of(found, expecting(declared=Declared(2e-6))).state is State.ALIGNED
-    status = status_of(found, expecting(declared=Declared(1e-6)))
-    assert status.state is State.FINE
-    assert "gyro bias is 6.0 times" in status.reason
-
-
-@pytest.mark.parametrize("told", [1, 2, 3])
-def test_of_fewer_components_a_shorter_gyro_bias_is_doubted(told: int) -> None:
-    """The bound is of chi-square with as many degrees of freedom as the data tell."""
-    sigma = np.where(np.arange(3) < told, 0.0, 1e-6)
-    bound = 1e-6 * math.sqrt(chi2.isf(RARE_GYRO_BIAS, told))
-    for k, state in ((0.99, State.ALIGNED), (1.01, State.FINE)):
-        found = having(gyro_bias=np.array([k * bound, 0.0, 0.0]), gyro_bias_sigma=sigma)
-        assert status_of(found, expecting(declared=Declared(1e-6))).state is state
-
-
-def test_an_accelerometer_bias_beyond_the_declared_one_is_not_aligned() -> None:
-    level = having(accel_bias=np.array([6e-3, 0.0, 0.0]))
-    upward = having(accel_bias=np.array([0.0, 0.0, 6e-3]))
-    declared = expecting(declared=Declared(accel_bias=1e-3))
-    status = status_of(level, declared)
-    assert status.state is State.FINE and "accelerometer bias is 6.0 times" in status.reason
-    assert status_of(upward, declared).state is State.ALIGNED
-    assert status_of(level).state is State.ALIGNED
-
-
-def test_a_scale_error_beyond_the_declared_one_is_not_aligned() -> None:
-    """km/h for m/s, say."""
-    found = having(odometer=dataclasses.replace(ODOMETER, scale_error=0.3))
-    status = status_of(found, expecting(declared=Declared(odometer_scale=0.02)))
-    assert status.state is State.FINE and "scale error is 15.0 times" in status.reason
-    wide = expecting(declared=Declared(odometer_scale=0.1))
-    assert status_of(found, wide).state is State.ALIGNED
-
-
-@pytest.mark.parametrize("square", [1.1, 100.0, math.nan])
-def test_a_witness_that_says_otherwise(square: float) -> None:
-    """Two filters on the same data that differ as if they were independent: one of them lies."""
-    phi = np.array([0.0, 0.0, -4.0 * ARCMIN])
-    status = status_of(having(witness=Witness("wander_kf", phi, square)))
-    assert status.state is State.FINE
-    assert "wander_kf beside it differs by 4.0' in heading" in status.reason
-
-
-def test_a_witness_that_agrees() -> None:
-    witness = Witness("wander_kf", np.array([0.0, 0.0, 4.0 * ARCMIN]), 0.9)
-    assert status_of(having(witness=witness)).state is State.ALIGNED
-
-
 # -- findings of the aligner, beside an estimate
 
 
@@ -491,48 +343,6 @@ def test_a_fault_beside_an_estimate_is_failed() -> None:
     assert completer.held_s(13.0) == 1.0
 
 
-# -- latitude
-
-
-def at_latitude(off: float, sigma: float) -> Estimate:
-    return having(latitude=LatitudeEstimate(LATITUDE + off, sigma))
-
-
-@pytest.mark.parametrize(
-    ("check", "state", "keys"),
-    [
-        ("warn", State.ALIGNED, ("latitude_differs",)),
-        ("fail", State.FAILED, ("latitude_wrong",)),
-        ("off", State.ALIGNED, ()),
-    ],
-)
-def test_what_a_wrong_latitude_does(check: str, state: State, keys: tuple[str, ...]) -> None:
-    status = status_of(at_latitude(1.0 * DEG, 0.01 * DEG), expecting(latitude_check=check))
-    assert (status.state, status.keys) == (state, keys)
-    if keys:
-        assert "latitude is 40.000 deg" in status.reason
-        assert "41.000 deg (sigma 0.010)" in status.reason
-        assert "latitude_deg" in status.remedy
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-@pytest.mark.parametrize(
-    ("sigma_deg", "bound_deg"),
-    [(0.1, 0.5), (1.0, 5.0), (0.001, 0.1)],  # five sigma, but a tenth of a degree at least
-)
-def test_when_a_latitude_is_wrong(sign: float, sigma_deg: float, bound_deg: float) -> None:
-    expectation = expecting(latitude_check="fail")
-    for share, state in ((0.999, State.ALIGNED), (1.001, State.FAILED)):
-        found = at_latitude(sign * share * bound_deg * DEG, sigma_deg * DEG)
-        assert status_of(found, expectation).state is state
-
-
-def test_without_a_position_no_latitude_is_wrong() -> None:
-    expectation = Expectation(ImuGrade(), None, latitude_check="fail")
-    assert status_of(at_latitude(1.0, 1e-6), expectation).state is State.ALIGNED
-    assert status_of(having(latitude=None), expecting(latitude_check="fail")).findings == ()
-
-
 # -- texts
 
 
@@ -551,37 +361,8 @@ def test_the_keys_of_the_table_are_names() -> None:
     assert all(key.isidentifier() and key == key.lower() for key in keys)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("what", ["gyro_bias", "accel_bias"])
-def test_a_bias_that_is_no_number_is_in_doubt(what: str, axis: int) -> None:
-    bias = np.zeros(3)
-    bias[axis] = math.nan
-    assert status_of(having(**{what: bias}), expecting(declared=DECLARED)).keys == ("bias_beyond",)
-
-
 def test_the_pole_is_named_once() -> None:
     """By the aligner and by the thresholds."""
     pole = Expectation(ImuGrade(), Position(math.pi / 2))
     status = Completer(COMPLETION, pole).update(Advance(0, None, (AT_POLE(),)), 1.0)
     assert status.keys == ("at_pole",)
-
-
-@pytest.mark.parametrize("check", ["warn", "fail", "off"])
-@pytest.mark.parametrize("bias_deg_h", [0.005, 0.02])
-def test_whom_a_doubted_latitude_stops(check: str, bias_deg_h: float) -> None:
-    """Gyros of navigation grade, or whoever asks for it; with other thresholds at run time too."""
-    grade = ImuGrade(gyro_bias=bias_deg_h * DEG_PER_H)
-    expectation = expecting(latitude_check="warn")._replace(grade=grade)
-    doubt = (LATITUDE_DOUBTED(ratio=4.0, sigma_deg=0.1),)
-    completer = Completer(COMPLETION, expectation)
-    completer.set_completion(COMPLETION, check)
-    step = Advance(0, estimate(), doubt)
-    completer.update(step, 0.0)
-    stops = check == "fail" or (check == "warn" and bias_deg_h < 0.01)
-    status = completer.update(step, HOLD_S)
-    assert (status.state is State.ALIGNED, status.keys) == (
-        not stops,
-        ("latitude_doubted",) if stops else (),
-    )
-    waiting = completer.update(Advance(0, None, doubt), HOLD_S + 1.0)
-    assert ("latitude_doubted" in waiting.keys) == (check != "off")
