@@ -2,7 +2,7 @@
 
 Plain functions in continuous time, each named after its equation; its docstring has the corrected
 equation and what is misprinted in the paper. docs/large_azimuth.md has them all in one place, and
-test_odo_large_azimuth_blocks.py holds them against a pair of non-linear mechanisations.
+large_azimuth_reference.py is the pair of non-linear mechanisations that they are held against.
 
 b any body axes, n ENU, n' the axes of the computed attitude:
 
