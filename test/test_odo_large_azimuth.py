@@ -11,55 +11,53 @@ from functools import cache
 
 import numpy as np
 import pytest
+from large_azimuth_filters import (
+    at_start,
+    every_method,
+    follow,
+    handed_over,
+    run_and_know,
+    turn,
+    with_rule,
+)
 from scipy.spatial.transform import Rotation
 from test_odo_wander import (
     ALPHA,
     ARCSEC,
     DEGREE,
     EXACT,
-    FOG,
-    LEVER_ARM,
-    MOUNTING_DEG,
     PERFECT,
     STATES,
     Faults,
-    about_up,
     config,
     epoch_at,
     exact_epoch,
     left_over,
-    make_filter,
     run_filter,
     second_of_most,
-    small_turn,
     tolerance_for,
     true_navigation,
     with_error,
 )
 
-from sins_align.config import odo_config
 from sins_align.odo.fading import Fading, Innovation, NoFading, PublishedFading, ScaleJumpFading
 from sins_align.odo.filter import AidedFilter
-from sins_align.odo.knowledge import Knowledge, knowledge_of
-from sins_align.odo.large_azimuth import PLACE_SIGMA, LargeAzimuthFilter, start_sigma
+from sins_align.odo.knowledge import knowledge_of
+from sins_align.odo.large_azimuth import LargeAzimuthFilter
 from sins_align.odo.layout import (
     ACCEL_BIAS,
-    AZIMUTH,
     ENU_SIZE,
     GYRO_BIAS,
     GYRO_TURN,
     ODOMETER,
     PHI,
-    PLACE,
     SHARED,
-    SIZE,
     VELOCITY,
     U,
 )
 from sins_align.odo.layout import (
     ALPHA as ALPHA_STATE,
 )
-from sins_align.odo.methods import make_large_azimuth_filter
 from sins_align.odo.moments import (
     ConditionallyLinear,
     Cubature,
@@ -74,15 +72,6 @@ from sins_align.odo.standing import Standing
 from sins_align.odo.wander import WanderFilter
 from sins_align.types import Array
 
-# As they are configured; `sghf` with each fading that is to be right.
-METHODS: dict[str, dict[str, object]] = {
-    "sghf": {"method": "sghf"},
-    "sghf without fading": {"method": "sghf", "fading": "none"},
-    "ghf": {"method": "ghf"},
-    "ckf": {"method": "ckf"},
-    "ekf": {"method": "ekf"},
-    "ukf": {"method": "ukf"},
-}
 RULES: dict[str, MomentRule] = {
     "gauss_hermite": ReducedGaussHermite(3),
     "seven nodes": ReducedGaussHermite(7),
@@ -90,64 +79,6 @@ RULES: dict[str, MomentRule] = {
     "linearised": Linearised(),
     "unscented": Unscented(),
 }
-every_method = pytest.mark.parametrize("method", METHODS)
-
-
-def turn(angle: float) -> Array:
-    """Rz(U) = [c s 0; -s c 0; 0 0 1]."""
-    return about_up(-angle)
-
-
-def follow(wander: WanderFilter, method: str) -> LargeAzimuthFilter:
-    parameters = {
-        "imu_grade": "fog",
-        "odometer_lever_arm_m": list(LEVER_ARM),
-        "mounting_rpy_deg": list(MOUNTING_DEG),
-    }
-    return make_large_azimuth_filter(odo_config({**parameters, **METHODS[method]}), wander)
-
-
-def with_rule(
-    wander: WanderFilter, rule: MomentRule, fading: Fading | None = None
-) -> LargeAzimuthFilter:
-    return LargeAzimuthFilter(wander, FOG, rule, fading or NoFading())
-
-
-@cache
-def _found() -> tuple[WanderFilter, int]:
-    filter_ = make_filter(ALPHA)
-    for second in range(150):
-        run_filter(filter_, second, second + 1)
-        speed = float(np.linalg.norm(filter_.navigation.v_a))
-        if knowledge_of(filter_).covariance[2, 2] < start_sigma(config()) ** 2 and speed > 5.0:
-            return filter_, second + 1
-    raise AssertionError("no start")
-
-
-def at_start() -> tuple[WanderFilter, int]:
-    """A wander filter of two azimuth states, on the move, from which one may start; the second."""
-    filter_, second = _found()
-    assert not filter_.one_azimuth
-    return copy.deepcopy(filter_), second
-
-
-@cache
-def _handed_over() -> tuple[WanderFilter, int]:
-    filter_, second = at_start()
-    while not filter_.one_azimuth or np.linalg.norm(filter_.navigation.v_a) < 5.0:
-        run_filter(filter_, second, second + 1)
-        second += 1
-    return filter_, second
-
-
-def handed_over() -> tuple[WanderFilter, int]:
-    """As `at_start`, of one azimuth state."""
-    filter_, second = _handed_over()
-    return copy.deepcopy(filter_), second
-
-
-STARTS = {"two azimuth states": at_start, "one azimuth state": handed_over}
-every_start = pytest.mark.parametrize("start", STARTS)
 
 
 # -- an error is found
@@ -416,252 +347,3 @@ def test_three_nodes_are_as_good_as_seven() -> None:
         off = Rotation.from_matrix(a.C_nb @ b.C_nb.T).as_rotvec()
         assert (np.abs(off) < NODES_TOLERANCE * sigma).all()
         np.testing.assert_allclose(np.sqrt(b.covariance.diagonal()), sigma, rtol=NODES_TOLERANCE)
-
-
-def run_and_know(filter_: AidedFilter, begin: int, end: int) -> Knowledge:
-    for second in range(begin, end):
-        filter_.process(exact_epoch(second), Standing.NO)
-    return knowledge_of(filter_)
-
-
-# -- axes
-
-
-def turned(wander: WanderFilter, angle: float) -> WanderFilter:
-    """The same filter, its a turned about up: everything in a turns."""
-    other = copy.deepcopy(wander)
-    R = about_up(angle)
-    navigation = other.navigation
-    navigation.C_ab, navigation.v_a = R @ navigation.C_ab, R @ navigation.v_a
-    navigation.e_a = R @ navigation.e_a
-    J = np.eye(SIZE)
-    J[PHI, PHI] = J[VELOCITY, VELOCITY] = R
-    if not wander.one_azimuth:
-        J[AZIMUTH, AZIMUTH] = R[:2, :2]
-    other.P = J @ other.P @ J.T
-    return other
-
-
-GAUGE_TOLERANCE = 1e-7  # of sigma
-# The density of two azimuth states is summed up on a grid, which does not turn with them.
-START_GAUGE_TOLERANCE = 1e-5
-
-
-@every_method
-@every_start
-@pytest.mark.parametrize("angle", [0.5, -2.0, math.pi])
-def test_start_azimuth_of_the_frame_does_not_matter(method: str, start: str, angle: float) -> None:
-    wander, second = STARTS[start]()
-    filters = [follow(w, method) for w in (wander, turned(wander, angle))]
-    tolerance = GAUGE_TOLERANCE if wander.one_azimuth else START_GAUGE_TOLERANCE
-    end = min(second + 40, 178)
-    a, b = (run_and_know(filter_, second, end) for filter_ in filters)
-    sigma = np.sqrt(a.covariance.diagonal())
-    off = Rotation.from_matrix(a.C_nb @ b.C_nb.T).as_rotvec()
-    assert (np.abs(off) < tolerance * sigma).all()
-    scale = np.outer(sigma, sigma)
-    np.testing.assert_allclose(a.covariance / scale, b.covariance / scale, atol=tolerance)
-
-
-@pytest.mark.parametrize("angle", [0.8, -2.5])
-def test_feedback_of_a_large_azimuth_error(angle: float) -> None:
-    """What is left, of errors drawn from P beside an estimate of them, has the P after it."""
-    rng = np.random.default_rng(3)
-    wander, _ = handed_over()
-    filter_ = with_rule(wander, ReducedGaussHermite())
-    truth, v_true = filter_.navigation.C_ab.copy(), filter_.navigation.v_a.copy()
-    root = rng.normal(size=(6, 6)) * np.array([[1, 3, 2, 100, 100, 100]]).T
-    before = 1e-10 * root @ root.T
-    dx = np.zeros(ENU_SIZE)
-    dx[:6] = 2e-3, -1e-3, angle, 0.3, -0.2, 0.1
-    left = []
-    for e in rng.multivariate_normal(np.zeros(6), before, size=2000):
-        x = dx[:6] + e
-        filter_.P = np.zeros((ENU_SIZE, ENU_SIZE))
-        filter_.P[:6, :6] = before
-        navigation = filter_.navigation
-        navigation.C_ab = small_turn([x[0], x[1], 0.0]) @ turn(x[2]) @ truth
-        navigation.v_a = v_true + x[VELOCITY]
-        filter_._correct(dx)
-        phi = -Rotation.from_matrix(navigation.C_ab @ truth.T).as_rotvec()
-        left.append([*phi, *(navigation.v_a - v_true)])
-    after = filter_.P[:6, :6]
-    sigma = np.sqrt(after.diagonal())
-    scale = np.outer(sigma, sigma)
-    # 2000 of them: 0.032 is the sigma of a variance.
-    np.testing.assert_allclose(np.cov(np.transpose(left)) / scale, after / scale, atol=0.15)
-    np.testing.assert_allclose(np.mean(left, axis=0) / sigma, 0.0, atol=0.15)
-    # It is not what it was.
-    assert np.abs(before / scale - after / scale).max() > 0.5
-    assert not filter_.P[6:].any()
-
-
-def test_feedback_of_the_place() -> None:
-    """It is the latitude's, and the height's; the wander angle is what it was."""
-    wander, _ = handed_over()
-    filter_ = with_rule(wander, ReducedGaussHermite())
-    navigation = filter_.navigation
-    latitude, altitude, alpha = navigation.latitude, navigation.altitude, navigation.wander_angle
-    north = np.array([math.sin(alpha), math.cos(alpha), 0.0])
-    east = np.array([math.cos(alpha), -math.sin(alpha), 0.0])
-    dx = np.zeros(ENU_SIZE)
-    dx[PLACE] = 500.0 * north - 300.0 * east + np.array([0.0, 0.0, 20.0])
-    filter_._correct(dx)
-    assert navigation.latitude - latitude == pytest.approx(-500.0 / 6378137.0, rel=1e-3)
-    assert navigation.altitude - altitude == pytest.approx(-20.0)
-    assert navigation.wander_angle == pytest.approx(alpha, abs=1e-12)
-
-
-@pytest.mark.parametrize("seen", [True, False])
-def test_mean_of_what_the_azimuth_does_is_fed_back(seen: bool) -> None:
-    """The mean of the velocity's change, seen from any azimuth, is exp(-s^2/2) of it.
-
-    Without an odometer, or with one that says as good as nothing.
-    """
-    second, sigma = second_of_most(False), 0.4
-    ends = []
-    for known in (True, False):
-        wander = WanderFilter(
-            true_navigation(second, ALPHA),
-            OdometerModel(config(**{**EXACT, "odometer_noise_m": [100.0] * 3})),
-            PERFECT, 1.0, 1.0, 1.0,
-        )  # fmt: skip
-        filter_ = LargeAzimuthFilter(wander, PERFECT, ReducedGaussHermite(7), NoFading())
-        filter_.P = np.zeros((ENU_SIZE, ENU_SIZE))
-        filter_.P[U, U] = 0.0 if known else sigma**2
-        epoch = epoch_at(second)
-        filter_.process(epoch if seen else epoch._replace(travel=None), Standing.NO)
-        ends.append(filter_.navigation.v_a)
-    change = ends[0] - true_navigation(second, ALPHA).v_a
-    assert np.linalg.norm(change[:2]) > 1.0
-    lost = (1.0 - math.exp(-0.5 * sigma**2)) * change[:2]
-    np.testing.assert_allclose(ends[0][:2] - ends[1][:2], lost, atol=0.02 * np.linalg.norm(lost))
-
-
-# -- the start
-
-
-def draw(P: Array, count: int) -> Array:
-    """(count, n) from N(0, P), whose variances differ by many powers of ten."""
-    sigma = np.sqrt(np.maximum(P.diagonal(), 0.0))
-    scale = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0.0)
-    correlation = P * np.outer(scale, scale)
-    rng = np.random.default_rng(11)
-    return rng.multivariate_normal(np.zeros(len(P)), correlation, size=count) * sigma
-
-
-def sample_wander(wander: WanderFilter, count: int) -> tuple[Array, Array]:
-    """Errors (count, SIZE) of a wander filter's estimates, and the true azimuth alpha (count,).
-
-    Two azimuth states: alpha by its density on the circle, the rest given what that says of
-    their errors.
-    """
-    rng = np.random.default_rng(12)
-    P, e = wander.P, wander.navigation.e_a
-    estimate = math.atan2(e[0], e[1])
-    if wander.one_azimuth:
-        errors = draw(P, count)
-        return errors, estimate - errors[:, ALPHA_STATE]
-    length = math.sqrt(1.0 - float(e[2]) ** 2)
-    grid = estimate + np.linspace(-0.5, 0.5, 20001)
-    off = e[:2, None] - length * np.stack((np.sin(grid), np.cos(grid)))
-    exponent = -0.5 * np.einsum("in,ij,jn->n", off, np.linalg.inv(P[AZIMUTH, AZIMUTH]), off)
-    weight = np.exp(exponent - exponent.max())
-    drawn = rng.choice(grid.size, size=count, p=weight / weight.sum())
-    gain = np.linalg.solve(P[AZIMUTH, AZIMUTH], P[AZIMUTH, :]).T
-    rest = P - gain @ P[AZIMUTH, :]
-    errors = off[:, drawn].T @ gain.T
-    errors += draw(rest, count)
-    return errors, grid[drawn]
-
-
-def errors_at_start(wander: WanderFilter, large: LargeAzimuthFilter, count: int) -> Array:
-    """(count, SHARED) errors of the filter that starts, in ENU, of those of the wander filter."""
-    errors, alpha = sample_wander(wander, count)
-    own = large.navigation
-    to_own = about_up(-own.wander_angle)
-    C_estimate, v_estimate = wander.navigation.C_ab, wander.navigation.v_a
-    found = np.empty((count, SHARED))
-    for row, x, angle in zip(found, errors, alpha, strict=True):
-        # The truth: estimates less their errors, in ENU by the true azimuth.
-        to_enu = about_up(angle)
-        C_nb = to_enu @ small_turn(x[PHI]).T @ C_estimate
-        v_n = to_enu @ (v_estimate - x[VELOCITY])
-        off = own.C_ab @ (to_own @ C_nb).T
-        row[PHI] = off[1, 2], -off[0, 2], math.atan2(off[0, 1] - off[1, 0], off[0, 0] + off[1, 1])
-        row[VELOCITY] = own.v_a - to_own @ v_n
-        for index, before, after in (
-            (GYRO_BIAS, wander.sensors.gyro_bias, large.sensors.gyro_bias),
-            (ACCEL_BIAS, wander.sensors.accel_bias, large.sensors.accel_bias),
-            (GYRO_TURN, wander.sensors.gyro_turn, large.sensors.gyro_turn),
-        ):
-            # These are what is left in the samples: true minus estimated.
-            row[index] = before + x[index] - after
-        row[ODOMETER] = large.odometer.x - (wander.odometer.x - x[ODOMETER])
-    return found
-
-
-@every_start
-def test_covariance_of_the_start(start: str) -> None:
-    """Monte Carlo: the velocity's correlation with U, and all the rest."""
-    wander, _ = STARTS[start]()
-    large = with_rule(wander, ReducedGaussHermite())
-    errors = errors_at_start(wander, large, 4000)
-    P = large.P[:SHARED, :SHARED]
-    sigma = np.sqrt(P.diagonal())
-    scale = np.outer(sigma, sigma)
-    # 4000 of them: 0.022 is the sigma of a variance.
-    np.testing.assert_allclose(np.cov(errors.T) / scale, P / scale, rtol=0.0, atol=0.11)
-    np.testing.assert_allclose(errors.mean(axis=0) / sigma, 0.0, atol=0.11)
-    # Moving, U is known with the velocity across.
-    correlation = P / scale
-    assert np.abs(correlation[U, VELOCITY]).max() > 0.8
-    np.testing.assert_array_equal(large.P[PLACE, PLACE], PLACE_SIGMA**2 * np.eye(3))
-    assert not large.P[:SHARED, PLACE].any()
-
-
-START_TOLERANCE = 1e-9
-
-
-@every_start
-def test_start_does_not_change_what_is_given_out(start: str) -> None:
-    wander, _ = STARTS[start]()
-    before, after = knowledge_of(wander), knowledge_of(with_rule(wander, ReducedGaussHermite()))
-    assert Rotation.from_matrix(before.C_nb @ after.C_nb.T).magnitude() < START_TOLERANCE
-    pairs = [(before, after), (before.odometer, after.odometer)]
-    for one, other in pairs:
-        names = one._fields if isinstance(one, Knowledge) else vars(one)
-        for name in names:
-            if name != "odometer":
-                a, b = np.asarray(getattr(one, name)), np.asarray(getattr(other, name))
-                size = max(float(np.abs(a).max()), 1e-12)
-                np.testing.assert_allclose(b, a, rtol=0.0, atol=START_TOLERANCE * size)
-
-
-def state_of(filter_: AidedFilter) -> list[bytes]:
-    """Every bit that a filter may change."""
-    navigation, sensors = filter_.navigation, filter_.sensors
-    arrays = [
-        filter_.P, navigation.C_ab, navigation.v_a, navigation.e_a, filter_.odometer.x,
-        filter_.odometer._growth, sensors.gyro_bias, sensors.accel_bias, sensors.gyro_turn,
-        np.array([navigation.altitude, filter_.consistency, filter_.nis, filter_.epochs]),
-    ]  # fmt: skip
-    return [np.asarray(array).tobytes() for array in arrays]
-
-
-@every_start
-def test_neither_filter_changes_the_other(start: str) -> None:
-    wander, second = STARTS[start]()
-    alone, before = copy.deepcopy(wander), state_of(wander)
-    large = with_rule(wander, ReducedGaussHermite(), ScaleJumpFading())
-    assert state_of(wander) == before
-    undisturbed = copy.deepcopy(large)
-    end = min(second + 10, 178)
-    for filter_ in (alone, undisturbed):
-        run_filter(filter_, second, end)
-    # Epoch by epoch, one and the other.
-    for k in range(second, end):
-        for filter_ in (large, wander):
-            run_filter(filter_, k, k + 1)
-    assert state_of(wander) == state_of(alone) != before
-    assert state_of(large) == state_of(undisturbed)
