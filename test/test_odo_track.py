@@ -1,72 +1,31 @@
-"""Distance from mean speeds: exact at the stamps, holes, outliers, and the quantum."""
+"""Distance from mean speeds: exact at the stamps, over holes, however the samples come."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from odometer_tracks import (
+    MM,
+    RNG,
+    T0,
+    driven,
+    given_speeds,
+    means,
+    must_read,
+    read,
+    speed_of,
+    track_of,
+    with_speed,
+)
 
-from sins_align.odo.hampel import HAMPEL_LEAST, HAMPEL_M_S, HAMPEL_S, HAMPEL_SIDE, MEDIAN_STEPS
-from sins_align.odo.knots import Stretch
+from sins_align.odo.hampel import HAMPEL_SIDE
 from sins_align.odo.odometer_intake import MAX_LATE_NS
-from sins_align.odo.quantum import QuantumFinder, find_grid
 from sins_align.odo.track import MAX_BRIDGE_S, OdometerTrack
-from sins_align.types import Array, OdometerSamples
-
-T0 = 1_700_000_000_000_000_000
-MM = 1e-3
-RNG = np.random.default_rng
-
-
-def driven(t: Array) -> Array:
-    """A drive with turns of the speed; never a standstill [m]."""
-    return 8.0 * t + 20.0 * np.sin(0.3 * t) + 3.0 * np.cos(0.7 * t)
-
-
-def speed_of(t: Array) -> Array:
-    return 8.0 + 6.0 * np.cos(0.3 * t) - 2.1 * np.sin(0.7 * t)
-
-
-def means(
-    t: Array, law: Callable[[Array], Array] = driven, variance: float = 0.0
-) -> OdometerSamples:
-    """Samples at times t[1:] [s], means from one to the next."""
-    stamp_ns = T0 + np.rint(t * 1e9).astype(np.int64)
-    exact = (stamp_ns - T0) * 1e-9
-    speed = np.diff(law(exact)) / np.diff(exact)
-    return OdometerSamples(stamp_ns[1:], speed, np.full(speed.shape[0], variance))
-
-
-def given_speeds(t: Array, speed: Array) -> OdometerSamples:
-    return OdometerSamples(T0 + np.rint(t * 1e9).astype(np.int64), speed, np.zeros(t.shape[0]))
-
-
-def with_speed(samples: OdometerSamples, speed: Array) -> OdometerSamples:
-    return OdometerSamples(samples.stamp_ns, speed, samples.variance)
-
-
-def track_of(samples: OdometerSamples, quantum: float | None = 0.0) -> OdometerTrack:
-    track = OdometerTrack(quantum)
-    track.add(samples)
-    track.settle(np.inf)
-    return track
-
-
-def read(track: OdometerTrack, t: Array) -> Stretch | None:
-    """At times t since T0 [s]."""
-    assert track.origin_ns is not None
-    return track.read(t + (T0 - track.origin_ns) * 1e-9)
-
-
-def must_read(track: OdometerTrack, t: Array) -> Stretch:
-    stretch = read(track, t)
-    assert stretch is not None
-    return stretch
-
+from sins_align.types import OdometerSamples
 
 # Distance
 
@@ -332,211 +291,3 @@ def test_memory_is_bounded() -> None:
     assert track._knots.shape[1] < 600
     assert track._raw.shape[1] < 100
     assert sum(part[0].size for part in track._finder._parts) < 5000
-
-
-# Hampel filter
-
-
-def slow_hampel(t: Array, v: Array, quantum: float) -> Array:
-    """The filter as it reads, sample by sample."""
-    result = v.copy()
-    for j in range(v.shape[0]):
-        steps = np.sort(np.diff(t[max(j - MEDIAN_STEPS, 0) : j + 1]))
-        if not steps.size:
-            continue
-        usual = steps[(steps.size - 1) // 2]
-        if usual > 2.0 * HAMPEL_S / (HAMPEL_LEAST - 1):
-            continue
-        near = range(max(j - HAMPEL_SIDE, 0), min(j + HAMPEL_SIDE + 1, v.shape[0]))
-        window = [v[k] for k in near if abs(t[k] - t[j]) <= HAMPEL_S]
-        if len(window) < HAMPEL_LEAST:
-            continue
-        if abs(v[j] - np.median(window)) > max(HAMPEL_M_S, 3.1 * quantum / usual):
-            result[j] = np.median(window)
-    return result
-
-
-@pytest.mark.parametrize("quantum", [0.0, 0.01, 0.2])
-@pytest.mark.parametrize("rate", [4.0, 5.0, 12.0, 20.0, 50.0])
-def test_the_filter_does_what_it_says(rate: float, quantum: float) -> None:
-    for seed in range(4):
-        rng = RNG(seed)
-        t = np.cumsum(rng.uniform(0.8, 1.2, 300)) / rate
-        t[200:] += 3.0
-        samples = means(t)
-        speed = samples.speed + rng.normal(0.0, 0.3, 299)
-        outlier = rng.random(299) < 0.05
-        speed[outlier] += rng.uniform(-10.0, 10.0, np.count_nonzero(outlier))
-        samples = with_speed(samples, speed)
-        track = track_of(samples, quantum)
-        times = (samples.stamp_ns - samples.stamp_ns[0]) * 1e-9
-        want = slow_hampel(times, speed, quantum)
-        knots = track._knots
-        got = knots[2, np.searchsorted(knots[0], times)]
-        np.testing.assert_array_equal(got[1:], want[1:])
-        assert track.replaced == np.count_nonzero(want[1:] != speed[1:]) + (want[0] != speed[0])
-
-
-def test_one_outlier_in_a_hundred_is_found() -> None:
-    rng = RNG(3)
-    samples = means(np.arange(0.0, 600.0, 0.05))
-    speed = samples.speed.copy()
-    wild = rng.random(len(samples)) < 0.01
-    speed[wild] = rng.uniform(-20.0, 40.0, np.count_nonzero(wild))
-    track = track_of(with_speed(samples, speed))
-    t = np.linspace(1.0, 599.0, 1000)
-    S = must_read(track, t).distance - driven(t)
-    assert np.ptp(S) < 0.2
-    assert 0.9 * np.count_nonzero(wild) < track.replaced < 1.05 * np.count_nonzero(wild)
-
-
-def test_a_clean_drive_passes_unchanged() -> None:
-    t = np.arange(0.0, 60.0, 0.05)
-    braking = 0.5 * (t + np.abs(t - 20.0)) - np.clip(t - 40.0, 0.0, None)  # 20 m/s^2 nowhere
-    samples = given_speeds(t, 3.0 * braking)
-    track = track_of(samples)
-    assert track.replaced == 0
-
-
-def test_stuck_at_zero_passes_unchanged() -> None:
-    samples = means(np.arange(0.0, 90.0, 0.05))
-    speed = samples.speed.copy()
-    speed[600:1200] = 0.0
-    track = track_of(with_speed(samples, speed))
-    assert track.replaced == 0
-    stretch = must_read(track, np.linspace(31.0, 59.0, 100))
-    assert np.abs(stretch.speed).max() == 0.0
-    assert np.ptp(stretch.distance) == 0.0
-
-
-def test_counts_are_no_outliers() -> None:
-    """At 100 Hz a count of 5 cm is 5 m/s: seldom counts must stay, or the scale is biased."""
-    t = np.arange(0.0, 100.0, 0.01)
-    stamps = T0 + np.rint(t * 1e9).astype(np.int64)
-    counted = 0.05 * np.floor(1.3 * t / 0.05 + 0.3)
-    speed = np.diff(counted) / 0.01
-    samples = OdometerSamples(stamps[1:], speed, np.zeros(speed.shape[0]))
-    for quantum in (None, 0.05):
-        track = track_of(samples, quantum)
-        assert track.replaced == 0
-        assert track.quantum == pytest.approx(0.05)
-        S = must_read(track, np.array([1.0, 99.0])).distance
-        assert S[1] - S[0] == pytest.approx(1.3 * 98.0, abs=0.051)
-
-
-def test_an_outlier_among_samples_that_are_too_slow_stays() -> None:
-    samples = means(np.arange(0.0, 60.0))
-    speed = samples.speed.copy()
-    speed[30] += 30.0
-    assert track_of(with_speed(samples, speed)).replaced == 0
-
-
-# Quantum
-
-
-def find(samples: OdometerSamples) -> float:
-    return track_of(samples, None).quantum
-
-
-def counting(
-    rate: float, quantum: float, kind: str, seed: int, duration: float = 0.0
-) -> OdometerSamples:
-    """kind: regular, timed (over the time that passed), nominal (stamps shake), coarse_values."""
-    rng = RNG(seed)
-    size = round(max(duration * rate, 700))
-    t = np.arange(size) / rate
-    if kind == "timed":
-        t += rng.uniform(-0.3, 0.3, size) / rate
-    true = 1.013 * driven(t)
-    counted = quantum * np.floor(true / quantum + rng.random()) if quantum else true
-    speed = np.diff(counted) / np.diff(t)
-    if kind == "nominal":
-        t += rng.normal(0.0, 0.05, size) / rate
-    if kind == "rounded":
-        speed = np.round(speed, 3)
-    if kind == "single":
-        speed = speed.astype(np.float32).astype(float)
-    if kind == "outliers":
-        wild = rng.random(size - 1) < 0.01
-        speed[wild] = rng.uniform(-20.0, 40.0, np.count_nonzero(wild))
-    if kind == "noisy":
-        speed += rng.normal(0.0, 0.04 * quantum * rate, size - 1)
-    return given_speeds(t[1:], speed)
-
-
-@pytest.mark.parametrize(
-    "kind", ["regular", "timed", "nominal", "rounded", "single", "outliers", "noisy"]
-)
-@pytest.mark.parametrize("quantum", [0.01, 0.02, 0.05, 0.3])
-@pytest.mark.parametrize("rate", [1.0, 5.0, 20.0, 100.0])
-def test_quantum_is_found(rate: float, quantum: float, kind: str) -> None:
-    found = find(counting(rate, quantum, kind, seed=round(1000 * quantum)))
-    if kind == "noisy" and rate == 1.0 and found == 0.0:
-        return  # too few counts that differ by little: none is claimed
-    assert found == pytest.approx(quantum, rel=0.02)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.001, 0.02, 0.5])
-@pytest.mark.parametrize("rate", [1.0, 5.0, 20.0, 100.0])
-def test_no_quantum_is_invented(rate: float, noise: float) -> None:
-    for seed in range(3):
-        samples = counting(rate, 0.0, "regular", seed)
-        shaken = samples.speed + RNG(seed).normal(0.0, noise, len(samples))
-        assert find(with_speed(samples, shaken)) == 0.0
-
-
-def test_no_quantum_from_a_vehicle_that_stands_or_keeps_its_speed() -> None:
-    t = np.arange(0.0, 200.0, 0.05)
-    assert find(given_speeds(t, np.zeros(t.shape[0]))) == 0.0
-    assert find(given_speeds(t, np.full(t.shape[0], 7.0))) == 0.0
-
-
-def test_no_quantum_from_steady_accelerations() -> None:
-    t = np.arange(0.0, 200.0, 0.05)
-    ramps = np.abs((t + 5.0) % 20.0 - 10.0)
-    assert find(given_speeds(t, ramps)) == 0.0
-    rng = RNG(5)
-    wild = rng.random(t.shape[0]) < 0.03
-    cruise = np.where(wild, rng.uniform(-20.0, 40.0, t.shape[0]), 5.0 + 0.1 * np.sin(t))
-    assert find(given_speeds(t, cruise)) == 0.0
-
-
-def test_speeds_of_a_cars_bus() -> None:
-    """Whole kilometres an hour, once a second, whatever the stamps do."""
-    t = np.arange(0.0, 300.0) + RNG(6).uniform(-0.1, 0.1, 300)
-    kmh = np.round(speed_of(t) * 3.6)
-    assert find(given_speeds(t, kmh / 3.6)) == pytest.approx(1.0 / 3.6, rel=0.02)
-
-
-def test_a_quantum_too_coarse_is_mended() -> None:
-    """Even counts first: twice the quantum explains them. Later the truth is seen."""
-    t = np.arange(0.0, 200.0, 0.05)
-    counts = np.round(20.0 + 6.0 * np.sin(0.9 * t) + 5.0 * np.sin(0.37 * t))
-    early = np.where(np.arange(t.shape[0]) < 300, 2.0 * (counts // 2.0), counts)
-    track = OdometerTrack()
-    samples = given_speeds(t, early * 0.02 / 0.05)
-    track.add(samples.select(slice(0, 300)))
-    track.settle()
-    assert track.quantum == pytest.approx(0.04)
-    track.add(samples.select(slice(300, None)))
-    track.settle()
-    assert track.quantum == pytest.approx(0.02)
-
-
-def test_a_given_quantum_is_kept() -> None:
-    assert track_of(counting(20.0, 0.05, "regular", 1), 0.02).quantum == 0.02
-
-
-def test_a_wheel_without_counts_gets_the_narrow_threshold() -> None:
-    finder = QuantumFinder()
-    assert finder.noise_quantum >= 0.1
-    samples = counting(20.0, 0.0, "regular", 1)
-    finder.add(samples.speed[:64], np.full(64, 0.05))
-    assert finder.noise_quantum >= 0.1
-    finder.add(samples.speed[64:256], np.full(192, 0.05))
-    assert finder.noise_quantum / 0.05 * 3.1 < HAMPEL_M_S
-
-
-def test_grid_of_nothing() -> None:
-    assert find_grid(np.zeros(50)) == 0.0
-    assert find_grid(np.ones(50)) == 0.0
