@@ -15,6 +15,10 @@ NAN = math.nan
 BOTH = ("swing_align", "odo_align")
 
 
+# YAML, and with it a ROS parameter file and `-p`, reads this word as false.
+OFF = "off"
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter.
@@ -49,6 +53,8 @@ class Parameter:
                 raise ConfigError(f"{self.name}: {value!r} is not true or false")
             return value
         if isinstance(self.default, str):
+            if value is False and OFF in self.choices:
+                value = OFF
             if not isinstance(value, str):
                 raise ConfigError(f"{self.name}: {value!r} is not a text")
             if self.choices and value not in self.choices:

@@ -286,10 +286,11 @@ LEVEL_LIMIT = Reason(
 SWING_WEAK = Reason(
     "swing_weak",
     Kind.HINT,
-    "the swing is too small to tell the lever arm, and not too small for it to disturb",
-    "swing the base by a degree or more, keep it still, or give the lever arm: lever_arm_prior_m"
-    " with lever_arm_prior_sigma_m",
-    "The unknown lever arm is a part of sigma until the swing tells it.",
+    "the swing is too small yet to tell the lever arm: sigma {sigma_m:.2g} m",
+    "wait, or swing the base by a degree or more; or give the lever arm: lever_arm_prior_m with"
+    " lever_arm_prior_sigma_m",
+    "It is estimated all the same, and its share is in the sigma of the attitude. Ends at 5 cm, or"
+    " when nothing else is missing.",
     "swing",
 )
 CENTRE_MOVES = Reason(
@@ -324,7 +325,8 @@ UNSTEADY = Reason(
     "heading has changed by {ratio:.1f} times the sigma of what new data may change:"
     " gyro noise above the declared grade, or a base that creeps",
     "check imu_grade (gyro_arw_deg_sqrt_h) and imu_sampling; keep the vehicle on firm ground",
-    "Ends when heading is where it was before, as far as its sigma tells; or restart.",
+    "Ends when heading is where it was before, as far as its sigma tells, or when four times as much"
+    " time has passed; or restart.",
     "swing",
 )
 GYRO_NOISY = Reason(

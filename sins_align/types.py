@@ -95,7 +95,7 @@ class LeverArm:
     r_b : (3,) in b [m]
     covariance : (3, 3) [m^2]
     observable : three booleans, one a body axis. False: the motion does not tell, and the
-        value is the prior's.
+        value is near the prior's.
     """
 
     r_b: Array

@@ -195,6 +195,13 @@ def test_texts(parameter: Parameter) -> None:
             assert check_values(NODE, {parameter.name: choice})[parameter.name] == choice
 
 
+def test_off_may_stand_without_quotes() -> None:
+    """YAML reads it as false, which is nothing where there is no such choice."""
+    for value in (False, parse_override("latitude_check:=off", NODE)[1]):
+        assert check_values(NODE, {"latitude_check": value})["latitude_check"] == "off"
+    fails("is not a text", nav_frame=False)
+
+
 @pytest.mark.parametrize("parameter", ARRAYS, ids=lambda p: p.name)
 def test_arrays(parameter: Parameter) -> None:
     for value in (1.0, "1, 2, 3", None, {1: 2}):

@@ -208,6 +208,13 @@ def test_a_whole_number_is_good_for_a_real_one_as_at_the_start(idle: Observer) -
     assert (value, type(value)) == (3.0, float)
 
 
+def test_off_may_be_set_without_quotes_as_at_the_start(idle: Observer) -> None:
+    """`ros2 param set` reads it as YAML does: false."""
+    (result,) = set_each(idle, latitude_check=False)
+    assert result.successful, result.reason
+    assert get(idle, "latitude_check") == ["off"]
+
+
 def test_several_change_all_or_none_and_each_by_itself_where_ros_says_so(idle: Observer) -> None:
     before = get(idle, "hold_s", "nav_frame")
     result = set_all(idle, hold_s=7.5, nav_frame="enu", level_threshold_arcsec=-3.0)

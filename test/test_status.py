@@ -310,7 +310,7 @@ def test_a_doubt_of_the_aligner_is_not_aligned() -> None:
 
 
 def test_a_hint_is_given_only_while_something_is_missing() -> None:
-    hints = (SWING_WEAK(), AXES_DIFFER(tilt_deg=2.0, left_deg=3.0))
+    hints = (SWING_WEAK(sigma_m=1.0), AXES_DIFFER(tilt_deg=2.0, left_deg=3.0))
     above = status_of(estimate(heading=2.0 * HEADING), findings=hints)
     assert above.keys == ("heading_sigma", "swing_weak", "axes_differ")
     completer = Completer(COMPLETION, PERFECT)

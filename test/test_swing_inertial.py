@@ -172,13 +172,21 @@ def test_no_false_information_in_a_long_run() -> None:
         assert outcome.sigma[2] > 4.8 * DEG
 
 
-def test_a_weak_swing_is_considered() -> None:
-    """0.35 deg with a lever arm of 5 m: not to be told, but not to be ignored either."""
-    weak = replace(SCENARIOS["level"], amplitude_deg=(0.35, 0.35, 0.35))
+@pytest.mark.parametrize("amplitude_deg", [0.05, 0.35])
+def test_a_weak_swing_tells_the_lever_arm(amplitude_deg: float) -> None:
+    """5 m of it, which is 4 mm or 3 cm of motion: after a minute heading is as on a still base."""
+    weak = replace(SCENARIOS["level"], amplitude_deg=(amplitude_deg,) * 3)
     options = replace(PITCH, scenario=weak, grade="rlg", duration_s=60.0)
+    still = monte_carlo(replace(options, scenario="still"), {}, range(1))[0]
+    squares = []
     for outcome in monte_carlo(options, {}, range(6)):
         assert abs(outcome.misalignment[2]) < 4.0 * outcome.sigma[2]
-        assert outcome.lever_observable == (False, False, False)
+        assert outcome.sigma[2] < 1.1 * still.sigma[2]
+        assert outcome.lever_observable == (True, True, True)
+        error, P = outcome.lever_error, outcome.lever_covariance
+        assert np.sqrt(P.diagonal()).max() < 0.1
+        squares.append(error @ np.linalg.solve(P, error))
+    assert sum(squares) < chi2.isf(1e-3, 18)
 
 
 def test_a_slow_heave_is_covered() -> None:
@@ -273,16 +281,22 @@ def test_real_laser_gyro(recording: ImuSamples) -> None:
     assert abs(pitch - 0.8037 * DEG) < 10.0 * ARCSEC
     assert abs(roll - 0.3106 * DEG) < 10.0 * ARCSEC
     assert session.status.state is State.ALIGNED
-    assert estimate.lever_arm.observable == (False, False, False)
+    assert estimate.lever_arm.observable == (True, True, True)
     late = [abs(h - headings[-1]) for t, h in zip(times, headings, strict=True) if t >= 130.0]
     assert max(late) < 3.0 * ARCMIN
 
 
 def test_real_laser_gyro_windows(recording: ImuSamples) -> None:
-    headings = []
+    """People and wind sway it about a centre 1 m away, which every window finds again."""
+    headings, levers = [], []
     for start in range(0, 241, 30):
         conclusion = align_recording(recording, float(start))[0].conclusion
-        assert conclusion is not None
+        assert conclusion is not None and conclusion.lever_arm is not None
         headings.append(heading(conclusion.q_nb))
+        levers.append(conclusion.lever_arm)
+    first, last = levers[0], levers[-1]  # a minute of 540 s is in both
+    sigma = np.sqrt((first.covariance + last.covariance).diagonal())
+    assert (np.abs(first.r_b - last.r_b) < 3.0 * sigma).all()
+    assert max(np.sqrt(lever.covariance.diagonal()).max() for lever in levers) < 0.4
     assert np.std(headings, ddof=1) < 1.0 * ARCMIN
     assert np.ptp(headings) < 3.3 * ARCMIN

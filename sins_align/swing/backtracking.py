@@ -45,7 +45,7 @@ class Backtracking:
     filter : with its sums; noise : its densities
     about : what it is linearised about, and
     solution : of the sums; both None before there is an attitude
-    lever : directions of the lever arm that the motion tells
+    lever : (3, m) directions of the lever arm that are estimated
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Backtracking:
             GRAVITY_SIGMA,
             self.noise.calibration,
         )
-        self._excitation = LeverExcitation(self.noise.gyro, self.noise.position)
+        self._excitation = LeverExcitation(self.noise.gyro)
         self.lever = self._excitation.directions()
         self.epochs = Epochs()
         self.filter = TwoStageFilter(self.noise)
@@ -175,6 +175,13 @@ class Backtracking:
         if self.solution is None:
             return False
         return is_alone(self.solver, self.filter.normal, self.solution)
+
+    @property
+    def lever_sigma(self) -> float:
+        """1 sigma of the lever arm where it is known worst of all that is estimated [m]."""
+        assert self.solution is not None
+        P = self.lever.T @ self.solution.covariance[X_R, X_R] @ self.lever
+        return math.sqrt(float(np.linalg.eigvalsh(P).max(initial=0.0)))
 
     def heading_sigma(self, filter_: TwoStageFilter) -> float:
         """1 sigma of heading with the information of `filter_` [rad]."""

@@ -1,9 +1,6 @@
-"""Which directions of the lever arm the motion tells anything about."""
+"""Along which directions the motion tells anything about the lever arm."""
 
 from __future__ import annotations
-
-import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,23 +10,6 @@ from sins_align.types import Array
 # Gyro noise alone gives a second difference of 2 ARW T^-1.5; what is less than so many times
 # that is no motion.
 GYRO_NOISE_RATIO = 10.0
-# A swing of 1 deg at 1/8 Hz, say: from there on the lever arm acts whatever it is, ...
-STRONG_SWING = 5e-3  # [rad/s^2]
-# ... and below only where it can be known so well that the estimate mends more than its noise
-# spoils: a parked vehicle in the wind would fit half a metre of noise.
-USEFUL_SIGMA = 0.05  # [m]
-
-
-class LeverDirections(NamedTuple):
-    """Orthonormal directions in b, (3, m) each. Of the others the data know nothing at all.
-
-    free : estimated
-    considered : the motion is too weak to tell the lever arm, but not too weak for a lever arm
-        to disturb: it stays at its prior, and its share of the error is in the covariance
-    """
-
-    free: Array
-    considered: Array
 
 
 class LeverExcitation:
@@ -41,15 +21,12 @@ class LeverExcitation:
     Parameters
     ----------
     gyro_noise : angle random walk [rad/sqrt(s)]
-    position_noise : of the swing centre at an epoch [m]
     """
 
-    def __init__(self, gyro_noise: float, position_noise: float) -> None:
+    def __init__(self, gyro_noise: float) -> None:
         self._gyro_noise = gyro_noise
-        self._position_noise = position_noise
         self._sum = np.zeros((3, 3))
         self._gyro_sum = 0.0
-        self._position_sum = 0.0
         self._count = 0
 
     def update(self, epochs: Epochs) -> None:
@@ -63,17 +40,12 @@ class LeverExcitation:
         flat = D.reshape(-1, 3)
         self._sum += flat.T @ flat
         self._gyro_sum += float((4.0 * self._gyro_noise**2 * T**-3).sum())
-        self._position_sum += float((6.0 * self._position_noise**2 * T**-4).sum())
         self._count += T.shape[0]
 
-    def directions(self) -> LeverDirections:
-        """Which directions in b are estimated, and which have to be considered."""
+    def directions(self) -> Array:
+        """(3, m) orthonormal directions in b that the base moves about."""
         if self._count == 0:
-            return LeverDirections(np.zeros((3, 0)), np.zeros((3, 0)))
+            return np.zeros((3, 0))
         squares, vectors = np.linalg.eigh(self._sum)
-        motion = squares > GYRO_NOISE_RATIO**2 * self._gyro_sum
-        strong = squares > STRONG_SWING**2 * self._count
-        # sigma_r of least squares on the second differences alone.
-        limit = math.sqrt(self._position_sum / self._count) / USEFUL_SIGMA
-        estimated = motion & (strong | (squares > limit**2))
-        return LeverDirections(vectors[:, estimated], vectors[:, motion & ~estimated])
+        moving: Array = vectors[:, squares > GYRO_NOISE_RATIO**2 * self._gyro_sum]
+        return moving

@@ -43,6 +43,8 @@ GRACE_S = 0.5
 SOON_S = 0.1
 # A centre that moves by so many times what is declared is worth telling.
 RESTLESS = 5.0
+# And so is a lever arm that is known no better than this, where there is motion [m].
+KNOWN_LEVER = 0.05
 
 
 class InertialAligner:
@@ -102,8 +104,8 @@ class InertialAligner:
         moved, declared = math.sqrt(noise.variance), math.sqrt(noise.floor)
         if moved > RESTLESS * declared:
             findings.append(CENTRE_MOVES(moved_mm=1e3 * moved, declared_mm=1e3 * declared))
-        if found.lever.considered.shape[1] and self._config.lever_arm_prior_sigma > 0.0:
-            findings.append(SWING_WEAK())
+        if found.lever_sigma > KNOWN_LEVER:
+            findings.append(SWING_WEAK(sigma_m=found.lever_sigma))
         findings += self._loudness.findings
         if self._outcome is not None:
             findings += self._outcome.report.doubts

@@ -8,11 +8,13 @@ import numpy as np
 
 from sins_align.rotation import exp_rotation, quaternion_from_dcm
 from sins_align.swing.checks import Report
-from sins_align.swing.excitation import LeverDirections
 from sins_align.swing.solution import KAPPA, X_BA, X_BG, X_R, Solution
 from sins_align.swing.two_stage import DATA, DRIFT, GYRO_BIAS, PHI, NoiseModel
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, Estimate, LeverArm
+
+# The data tell a lever arm of which so much of the prior variance is left.
+TOLD_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,7 @@ class Outcome:
     """A solution, with the filter at the last epoch.
 
     report : what speaks for it
-    lever, lever_sigma : directions of the lever arm that were estimated, and its prior [m]
+    lever, lever_sigma : (3, m) directions of the lever arm that were estimated; its prior [m]
     earth_rate_n : (3,) w_ie, ENU [rad/s]
     time_s : of the last epoch, from the first sample on [s]
     """
@@ -29,7 +31,7 @@ class Outcome:
     filter: TwoStageFilter
     noise: NoiseModel
     report: Report
-    lever: LeverDirections
+    lever: Array
     lever_sigma: float
     earth_rate_n: Array
     time_s: float
@@ -78,12 +80,10 @@ class Outcome:
         return np.sqrt(variance + (response @ solution.covariance @ response.T).diagonal())
 
     def _lever_arm(self) -> LeverArm:
-        solution, (free, considered) = self.solution, self.lever
-        frozen = np.eye(3) - free @ free.T
-        # What is considered is in the solution's covariance; the rest is the prior.
-        unknown = frozen - considered @ considered.T
-        covariance = solution.covariance[X_R, X_R] + self.lever_sigma**2 * unknown
-        x, y, z = (bool(share < 0.1) for share in frozen.diagonal())
+        solution, free = self.solution, self.lever
+        prior = self.lever_sigma**2
+        covariance = solution.covariance[X_R, X_R] + prior * (np.eye(3) - free @ free.T)
+        x, y, z = (bool(variance < TOLD_SHARE * prior) for variance in covariance.diagonal())
         return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
 
 

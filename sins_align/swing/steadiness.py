@@ -22,6 +22,8 @@ LEAST_COUNT = 4  # earlier solutions
 # Those of before this time may, under heave, be 30 deg off at a sigma of 1 deg. When there are
 # enough later ones they are forgotten: they would never let one be steady.
 SURE_S = 20.0
+# And so are those of a quarter of the time: of what disturbed them little is left.
+REMEMBERED = 4.0
 # What rounding and what is left of Gauss-Newton may add, of the variance.
 FLOOR = 1e-3
 
@@ -40,7 +42,8 @@ class Steadiness:
             return
         up = solution.R[:, 2]
         now = float(up @ solution.covariance[KAPPA, KAPPA] @ up)
-        sure = [earlier for earlier in self._earlier if earlier[0] >= SURE_S]
+        sure_s = max(SURE_S, time_s / REMEMBERED)
+        sure = [earlier for earlier in self._earlier if earlier[0] >= sure_s]
         if len(sure) >= LEAST_COUNT:
             self._earlier = sure
         squares = []
