@@ -325,8 +325,8 @@ UNSTEADY = Reason(
     "heading has changed by {ratio:.1f} times the sigma of what new data may change:"
     " gyro noise above the declared grade, or a base that creeps",
     "check imu_grade (gyro_arw_deg_sqrt_h) and imu_sampling; keep the vehicle on firm ground",
-    "Ends when heading is where it was before, as far as its sigma tells, or when four times as much"
-    " time has passed; or restart.",
+    "Ends when heading is where it was before, as far as its sigma tells, when four times as much"
+    " time has passed, or after a restart.",
     "swing",
 )
 GYRO_NOISY = Reason(
