@@ -41,6 +41,8 @@ from sins_align.stored_check import CHECK_S, CHI_SQUARE_LIMIT, HEADING_SIGMA, Pa
 from sins_align.types import Advance, Array, Estimate, ImuBlock, Position
 from sins_align.units import ARCMIN
 
+# A check that is through is settled by the next block [s].
+SOON_S = 1.0
 # Chi-square of 3 degrees of freedom with one false alarm in 1e5: it is asked again and again.
 AGREEMENT_LIMIT = 25.90
 # Doubts of the aligner proper on what a stored attitude hangs on too: the gyros, the Earth's rate.
@@ -256,17 +258,21 @@ class ResumingAligner:
         return self._given_out(ahead, int(block.stamp_ns[-1]))
 
     def foresee(self, heading: float) -> float:
-        """See `Aligner`: by what is given out, else by the aligner proper."""
+        """See `Aligner`: by what is given out, will be if it fits, or by the aligner proper."""
         estimate = self.estimate
         if estimate is not None and estimate.sigma[2] < heading:
             return 0.0
-        return self._aligner.foresee(heading)
+        ahead_s, check = self._aligner.foresee(heading), self._check
+        if check is None or not check.heading_sigma < heading:
+            return ahead_s
+        return float(np.fmin(ahead_s, max(CHECK_S - check.elapsed_s, SOON_S)))
 
     def next_step(self, ahead_s: float) -> float:
         """See `Aligner`: every block, or every step of the aligner proper, is one while the stored
-        attitude is given out.
+        attitude is given out, or will be if it fits.
         """
-        return ahead_s if self._given is not None else self._aligner.next_step(ahead_s)
+        is_stored = self._given is not None or (self._check is not None and self._check.is_enough)
+        return ahead_s if is_stored else self._aligner.next_step(ahead_s)
 
     def conclude(self, block: ImuBlock) -> Estimate | None:
         """The better of the stored attitude and all that the aligner proper knows."""

@@ -107,6 +107,16 @@ class StoredCheck:
         """How much has been seen."""
         return self._record.elapsed_s
 
+    @property
+    def heading_sigma(self) -> float:
+        """As stored [rad]."""
+        return math.sqrt(float(self._stored.misalignment_covariance[2, 2]))
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether an alignment as it is stored would be complete."""
+        return self.heading_sigma < self._completion.heading_threshold
+
     def add(self, block: ImuBlock) -> None:
         """Take in the next block."""
         self._record.add(block)
@@ -114,8 +124,7 @@ class StoredCheck:
     def judge(self) -> Passed | str:
         """The alignment to go on from, or why not."""
         motion = self._record.motion(self._C_nb, self._w_ie_n)
-        sigma = math.sqrt(self._stored.misalignment_covariance[2, 2])
-        heading = max(self._completion.heading_threshold, sigma)
+        heading = max(self._completion.heading_threshold, self.heading_sigma)
         sway = np.sqrt(motion.sway.diagonal())
         if not (sway <= [GREATEST_TILT, GREATEST_TILT, heading]).all():
             return MOVES.format(sway=sway.max() / ARCMIN)

@@ -121,6 +121,33 @@ def test_aligned_in_no_time(rlg: tuple[SwingRun, StoredAlignment]) -> None:
     assert "of 30 s)" in checking[-1]
 
 
+@pytest.mark.parametrize("at_s", [5.0, 10.0, 29.0, 31.0])
+def test_the_time_to_go_is_that_of_the_stored_one(
+    rlg: tuple[SwingRun, StoredAlignment], at_s: float
+) -> None:
+    """Which aligned_at_s then is, within the second of a block."""
+    run = second_run()
+    parameters = {"heading_threshold_arcmin": 1.5, "hold_s": 5.0}
+    session, _ = resume(
+        make_config(run, parameters), rlg[1], run.imu.select(slice(0, round(50 * at_s)))
+    )
+    eta_s = session.eta_s
+    session.add_imu(run.imu.select(slice(round(50 * at_s), None)))
+    assert session.status.aligned_at_s == pytest.approx(at_s + eta_s, abs=1.5)
+
+
+def test_a_stored_one_above_the_threshold_shortens_nothing(
+    rlg: tuple[SwingRun, StoredAlignment],
+) -> None:
+    run = second_run()
+    parameters = {"heading_threshold_arcmin": 1.0, "hold_s": 5.0}  # 1.08 are stored
+    begin = run.imu.select(slice(0, 50 * 20))
+    session, _ = resume(make_config(run, parameters), rlg[1], begin)
+    fresh = Session(make_config(run, parameters))
+    fresh.add_imu(begin)
+    assert math.inf > session.eta_s == fresh.eta_s > 100.0
+
+
 def test_nothing_of_it_is_given_out_before_the_check_is_done(
     rlg: tuple[SwingRun, StoredAlignment],
 ) -> None:
