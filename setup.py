@@ -53,7 +53,7 @@ setup(
             "odo_align = odo_align_ros.__main__:main",
             "align_replay = sins_align.ros.replay_command:main",
             "align_simulate = sins_align.ros.simulate_command:main",
-            "align_synth = sins_align.ros.synth_node:main",
+            "align_synth = sins_align.ros.synth_command:main",
         ],
     },
 )

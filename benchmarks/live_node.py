@@ -80,7 +80,7 @@ def measure_live(duration_s: float = 60.0, executor: str = "single") -> dict[str
         try:
             begin = settled_cpu_s(both)  # what the start costs counts for neither
             synth = start(
-                "-m", "sins_align.ros.synth_node", "--ros-args", "-p", f"rate:={RATE_HZ}.0",
+                "-m", "sins_align.ros.synth_command", "--ros-args", "-p", f"rate:={RATE_HZ}.0",
                 "-p", f"duration_s:={duration_s}", "-p", "wait_for_subscribers:=2",
             )  # fmt: skip
             synth.wait(timeout=duration_s + 120)

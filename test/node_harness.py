@@ -42,7 +42,7 @@ from sins_align.types import ImuSamples, OdometerSamples, Position
 ROOT = Path(__file__).resolve().parent.parent
 SWING = "swing_align_ros"
 ODO = "odo_align_ros"
-SYNTH = "sins_align.ros.synth_node"
+SYNTH = "sins_align.ros.synth_command"
 
 # For subscriptions. What comes while this process is kept waiting has to find room: a node whose
 # data are played runs far ahead of them.

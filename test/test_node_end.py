@@ -78,12 +78,19 @@ def stop_twice(process: subprocess.Popen[bytes], number: int) -> int:
     return stop(process, number)
 
 
+def wait_for_the_mask(process: subprocess.Popen[bytes]) -> None:
+    """Until the process has got so far that a signal no longer simply ends it."""
+    end = time.monotonic() + DEADLINE_S
+    while not holds_sigterm(process):
+        assert process.poll() is None and time.monotonic() < end
+        time.sleep(0.001)
+
+
 def holds_sigterm(process: subprocess.Popen[bytes]) -> bool:
-    """Whether the process has got so far that a signal no longer simply ends it."""
+    """Whether it waits, or is caught where the process is up already."""
     status = Path(f"/proc/{process.pid}/status").read_text()
     masks = dict(line.split(":") for line in status.splitlines() if line.startswith("Sig"))
-    held = int(masks["SigBlk"], 16) | int(masks["SigCgt"], 16)  # the latter when it is up already
-    return bool(held >> (signal.SIGTERM - 1) & 1)
+    return bool((int(masks["SigBlk"], 16) | int(masks["SigCgt"], 16)) >> (signal.SIGTERM - 1) & 1)
 
 
 def check_log(log: Path) -> None:
@@ -103,13 +110,22 @@ def test_a_signal_at_once_after_the_start(
     result, log = tmp_path / "result.json", tmp_path / "log"
     words = arguments({"executor": executor, "result_file": result})
     with running(module, *words, log=log) as process:
-        end = time.monotonic() + DEADLINE_S
-        while not holds_sigterm(process):
-            assert process.poll() is None and time.monotonic() < end
-            time.sleep(0.001)
+        wait_for_the_mask(process)
         assert ending(process, number) == 0
     check_log(log)
     assert json.loads(result.read_text())["state"] == "waiting"
+
+
+@BOTH
+@pytest.mark.parametrize("ending", [stop, stop_twice])
+def test_a_signal_at_once_after_the_start_of_the_synthetic_imu(
+    tmp_path: Path, ending: Any, number: int
+) -> None:
+    log = tmp_path / "log"
+    with running(SYNTH, *arguments({"duration_s": 1.0}), log=log) as process:
+        wait_for_the_mask(process)
+        assert ending(process, number) == 0
+    check_log(log)
 
 
 def test_a_signal_while_the_events_executor_takes_the_node_up(tmp_path: Path) -> None:

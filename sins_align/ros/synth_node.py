@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -245,7 +244,3 @@ class SynthNode(Node):
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; returns its exit status."""
     return run_node(NAME, SynthNode, lambda node: node.play, args)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
