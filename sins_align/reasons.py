@@ -289,8 +289,8 @@ SWING_WEAK = Reason(
     "the swing is too small yet to tell the lever arm: sigma {sigma_m:.2g} m",
     "wait, or swing the base by a degree or more; or give the lever arm: lever_arm_prior_m with"
     " lever_arm_prior_sigma_m",
-    "It is estimated all the same, and its share is in the sigma of the attitude. Ends at 5 cm, or"
-    " when nothing else is missing.",
+    "After half a minute it is estimated all the same; its share is in the sigma of the attitude,"
+    " for a centre at rest. Ends at 5 cm, or when nothing else is missing.",
     "swing",
 )
 CENTRE_MOVES = Reason(
@@ -325,8 +325,8 @@ UNSTEADY = Reason(
     "heading has changed by {ratio:.1f} times the sigma of what new data may change:"
     " gyro noise above the declared grade, or a base that creeps",
     "check imu_grade (gyro_arw_deg_sqrt_h) and imu_sampling; keep the vehicle on firm ground",
-    "Ends when heading is where it was before, as far as its sigma tells, when four times as much"
-    " time has passed, or after a restart.",
+    "Ends when heading is where it was before, as far as its sigma tells; at the earliest when four"
+    " times as much time has passed, where it does not come back; or after a restart.",
     "swing",
 )
 GYRO_NOISY = Reason(

@@ -12,11 +12,11 @@ from sins_align.earth import EARTH_RATE, normal_gravity
 from sins_align.grades import ImuGrade
 from sins_align.simulate import SwingOptions, SwingRun, simulate_swing
 from sins_align.swing.epochs import Epochs
-from sins_align.swing.excitation import LeverExcitation
+from sins_align.swing.excitation import LeverDirections, LeverExcitation
 from sins_align.swing.solution import KAPPA, Prior, Solution, Solver, make_prior
 from sins_align.swing.two_stage import GravityModel, Linearisation, NoiseModel, build_steps
 from sins_align.swing.two_stage_filter import TwoStageFilter
-from sins_align.types import Array, ImuBlock, ImuSampling
+from sins_align.types import ImuBlock, ImuSampling
 from sins_align.windows import integrate_windows
 
 LATITUDE_DEG, ALTITUDE_M = 40.0, 50.0
@@ -58,7 +58,6 @@ def epochs_of(run: SwingRun) -> Epochs:
 class Filtered:
     """What came out.
 
-    lever : (3, m) directions of the lever arm that are estimated
     truth : attitude R at the first sample, and lever arm
     """
 
@@ -67,7 +66,7 @@ class Filtered:
     gravity: GravityModel
     noise: NoiseModel
     prior: Prior
-    lever: Array
+    lever: LeverDirections
     truth: Linearisation
     filter: TwoStageFilter
     solver: Solver

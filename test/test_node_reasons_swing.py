@@ -142,8 +142,8 @@ CASES = (
     Case(
         "a small swing",
         SWING,
-        (Stage(("swing_weak",), lambda: swing(30.0, scenario=WEAK)),),
-        lambda: swing(120.0).later(35.0),
+        (Stage(("swing_weak",), lambda: swing(20.0, scenario=WEAK)),),
+        lambda: swing(120.0).later(25.0),
         # The smaller the swing and the larger the noise, the longer it takes.
         {"position_noise_m": 0.02, "latitude_check": "off"},
     ),

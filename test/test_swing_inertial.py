@@ -189,6 +189,35 @@ def test_a_weak_swing_tells_the_lever_arm(amplitude_deg: float) -> None:
     assert sum(squares) < chi2.isf(1e-3, 18)
 
 
+@pytest.mark.parametrize(("grade", "ends_s"), [("rlg", 33.0), ("tactical", 60.0)])
+def test_a_weak_swing_is_named_and_a_strong_one_not(grade: str, ends_s: float) -> None:
+    """While the lever arm is considered, and with noisy gyros for longer."""
+    for amplitude_deg in (0.3, 2.0):
+        scenario = replace(SCENARIOS["level"], amplitude_deg=(amplitude_deg,) * 3)
+        options = replace(PITCH, scenario=scenario, grade=grade, duration_s=60.0, rate_hz=50.0)
+        session = Session(swing_config({"latitude_deg": 40.0, "imu_grade": grade}))
+        samples = simulate_swing(options).imu
+        said = [
+            (u.stamp_ns - samples.stamp_ns[0]) * 1e-9
+            for u in session.add_imu(samples)
+            if "swing_weak" in u.status.keys
+        ]
+        if amplitude_deg < 1.0:
+            assert said and max(said) <= ends_s
+        else:
+            assert not said
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 0.001])
+def test_a_lever_arm_that_is_given_is_known(sigma_m: float) -> None:
+    lever = (1.0, -0.5, 0.8)
+    options = replace(PITCH, grade="rlg", duration_s=60.0, rate_hz=50.0, lever_arm_m=lever)
+    prior = {"lever_arm_prior_m": list(lever), "lever_arm_prior_sigma_m": sigma_m}
+    (outcome,) = monte_carlo(options, prior, range(1))
+    assert outcome.lever_observable == (True, True, True)
+    assert np.abs(outcome.lever_error).max() <= 4.0 * sigma_m
+
+
 def test_a_slow_heave_is_covered() -> None:
     """20 cm in a period of a minute, under a floor of half a millimetre."""
     options = replace(PITCH, grade="rlg", scenario="still", heave_m=0.2, heave_period_s=60.0)

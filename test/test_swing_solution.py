@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from swing_filtered import OPTIONS, Filtered, filter_run
 
+from sins_align.swing.excitation import LeverDirections
 from sins_align.swing.latitude import latitude_column
 from sins_align.swing.solution import KAPPA, X_BG, X_G, X_R, Prior, Solver
 from sins_align.swing.two_stage import DATA
@@ -42,7 +43,7 @@ def plain(filtered: Filtered) -> Filtered:
     mean = filtered.prior.mean.copy()
     mean[X_R] = filtered.truth.r_b
     prior = Prior(mean, variance)
-    lever = np.zeros((3, 0))
+    lever = LeverDirections(np.zeros((3, 0)), np.zeros((3, 0)))
     solver = Solver(prior, lever, filtered.truth.R)
     start = replace(filtered.solution, x=mean)
     solution = solver.solve(filtered.filter.normal, start)

@@ -45,7 +45,7 @@ class Backtracking:
     filter : with its sums; noise : its densities
     about : what it is linearised about, and
     solution : of the sums; both None before there is an attitude
-    lever : (3, m) directions of the lever arm that are estimated
+    lever : directions of the lever arm that the motion tells
 
     Parameters
     ----------
@@ -178,9 +178,11 @@ class Backtracking:
 
     @property
     def lever_sigma(self) -> float:
-        """1 sigma of the lever arm where it is known worst of all that is estimated [m]."""
+        """1 sigma of the lever arm where it is known worst of all directions with motion [m]."""
         assert self.solution is not None
-        P = self.lever.T @ self.solution.covariance[X_R, X_R] @ self.lever
+        if self.lever.considered.shape[1]:
+            return math.sqrt(float(self._prior.variance[X_R].max()))
+        P = self.lever.free.T @ self.solution.covariance[X_R, X_R] @ self.lever.free
         return math.sqrt(float(np.linalg.eigvalsh(P).max(initial=0.0)))
 
     def heading_sigma(self, filter_: TwoStageFilter) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from sins_align.swing.epochs import Epochs
@@ -10,6 +12,23 @@ from sins_align.types import Array
 # Gyro noise alone gives a second difference of 2 ARW T^-1.5; what is less than so many times
 # that is no motion.
 GYRO_NOISE_RATIO = 10.0
+# A swing of 1 deg at 1/8 Hz, say: it tells the lever arm at once, ...
+STRONG_SWING = 5e-3  # [rad/s^2]
+# ... and a weaker one from this epoch on. Before, a centre that moves would be taken for metres of
+# lever arm, and sigma for true.
+SETTLED_EPOCHS = 60
+
+
+class LeverDirections(NamedTuple):
+    """Orthonormal directions in b, (3, m) each. Of the others the data know nothing at all.
+
+    free : estimated
+    considered : the motion is too weak to tell the lever arm yet, but not too weak for a lever
+        arm to disturb: it stays at its prior, and its share of the error is in the covariance
+    """
+
+    free: Array
+    considered: Array
 
 
 class LeverExcitation:
@@ -42,10 +61,12 @@ class LeverExcitation:
         self._gyro_sum += float((4.0 * self._gyro_noise**2 * T**-3).sum())
         self._count += T.shape[0]
 
-    def directions(self) -> Array:
-        """(3, m) orthonormal directions in b that the base moves about."""
+    def directions(self) -> LeverDirections:
+        """Which directions in b are estimated, and which have to be considered."""
         if self._count == 0:
-            return np.zeros((3, 0))
+            return LeverDirections(np.zeros((3, 0)), np.zeros((3, 0)))
         squares, vectors = np.linalg.eigh(self._sum)
-        moving: Array = vectors[:, squares > GYRO_NOISE_RATIO**2 * self._gyro_sum]
-        return moving
+        motion = squares > GYRO_NOISE_RATIO**2 * self._gyro_sum
+        strong = squares > STRONG_SWING**2 * self._count
+        estimated = motion & (strong | (self._count > SETTLED_EPOCHS))
+        return LeverDirections(vectors[:, estimated], vectors[:, motion & ~estimated])

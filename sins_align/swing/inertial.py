@@ -26,7 +26,7 @@ from sins_align.swing.backtracking import COARSE_SIGMA, Backtracking
 from sins_align.swing.checks import Checks
 from sins_align.swing.foresight import time_to
 from sins_align.swing.loudness import Loudness
-from sins_align.swing.outcome import C_nb0_at, Outcome, heading_variance
+from sins_align.swing.outcome import KNOWN_LEVER, C_nb0_at, Outcome, heading_variance
 from sins_align.swing.two_stage import GravityModel
 from sins_align.types import Advance, Array, Estimate, ImuBlock, Position
 from sins_align.windows import integrate_windows
@@ -43,8 +43,8 @@ GRACE_S = 0.5
 SOON_S = 0.1
 # A centre that moves by so many times what is declared is worth telling.
 RESTLESS = 5.0
-# And so is a lever arm that is known no better than this, where there is motion [m].
-KNOWN_LEVER = 0.05
+# And so is a lever arm that is not known after a time in which a strong swing tells it [s].
+STRONG_TELLS_S = 30.0
 
 
 class InertialAligner:
@@ -104,7 +104,8 @@ class InertialAligner:
         moved, declared = math.sqrt(noise.variance), math.sqrt(noise.floor)
         if moved > RESTLESS * declared:
             findings.append(CENTRE_MOVES(moved_mm=1e3 * moved, declared_mm=1e3 * declared))
-        if found.lever_sigma > KNOWN_LEVER:
+        is_weak = now > STRONG_TELLS_S or found.lever.considered.shape[1] > 0
+        if is_weak and found.lever_sigma > KNOWN_LEVER:
             findings.append(SWING_WEAK(sigma_m=found.lever_sigma))
         findings += self._loudness.findings
         if self._outcome is not None:

@@ -8,13 +8,14 @@ import numpy as np
 
 from sins_align.rotation import exp_rotation, quaternion_from_dcm
 from sins_align.swing.checks import Report
+from sins_align.swing.excitation import LeverDirections
 from sins_align.swing.solution import KAPPA, X_BA, X_BG, X_R, Solution
 from sins_align.swing.two_stage import DATA, DRIFT, GYRO_BIAS, PHI, NoiseModel
 from sins_align.swing.two_stage_filter import TwoStageFilter
 from sins_align.types import Array, Estimate, LeverArm
 
-# The data tell a lever arm of which so much of the prior variance is left.
-TOLD_SHARE = 0.5
+# A lever arm is told when so much of the prior variance is left at most, or this sigma [m].
+TOLD_SHARE, KNOWN_LEVER = 0.5, 0.05
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Outcome:
     """A solution, with the filter at the last epoch.
 
     report : what speaks for it
-    lever, lever_sigma : (3, m) directions of the lever arm that were estimated; its prior [m]
+    lever, lever_sigma : directions of the lever arm that the motion tells, and its prior [m]
     earth_rate_n : (3,) w_ie, ENU [rad/s]
     time_s : of the last epoch, from the first sample on [s]
     """
@@ -31,7 +32,7 @@ class Outcome:
     filter: TwoStageFilter
     noise: NoiseModel
     report: Report
-    lever: Array
+    lever: LeverDirections
     lever_sigma: float
     earth_rate_n: Array
     time_s: float
@@ -80,10 +81,13 @@ class Outcome:
         return np.sqrt(variance + (response @ solution.covariance @ response.T).diagonal())
 
     def _lever_arm(self) -> LeverArm:
-        solution, free = self.solution, self.lever
+        solution, (free, considered) = self.solution, self.lever
         prior = self.lever_sigma**2
-        covariance = solution.covariance[X_R, X_R] + prior * (np.eye(3) - free @ free.T)
-        x, y, z = (bool(variance < TOLD_SHARE * prior) for variance in covariance.diagonal())
+        # What is considered is in the solution's covariance; the rest is the prior.
+        unknown = np.eye(3) - free @ free.T - considered @ considered.T
+        covariance = solution.covariance[X_R, X_R] + prior * unknown
+        told = max(TOLD_SHARE * prior, KNOWN_LEVER**2)
+        x, y, z = (bool(variance <= told) for variance in covariance.diagonal())
         return LeverArm(solution.x[X_R].copy(), covariance, (x, y, z))
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from sins_align.grades import ImuGrade
 from sins_align.rotation import exp_rotation, skew
+from sins_align.swing.excitation import LeverDirections
 from sins_align.swing.information import invert_information
 from sins_align.swing.two_stage import ACCEL_BIAS, ATTITUDE, BASE, DATA, GYRO_BIAS, LEVER, V0
 from sins_align.swing.two_stage_filter import TwoStageFilter
@@ -126,11 +127,12 @@ class Solver:
     Parameters
     ----------
     prior : its zero sigmas fix the parameter
-    lever : (3, m) directions of the lever arm to estimate; the others stay at the prior
+    lever : directions of the lever arm to estimate and to consider; the others stay at the
+        prior
     about : (3, 3) attitude R about which the filter is linearised, None before it is
     """
 
-    def __init__(self, prior: Prior, lever: Array, about: Array | None = None) -> None:
+    def __init__(self, prior: Prior, lever: LeverDirections, about: Array | None = None) -> None:
         self.prior = prior
         self._lever = lever
         self._about = about
@@ -248,14 +250,16 @@ class Solver:
         unit = np.eye(N.shape[0])
         variance = self.prior.variance
         columns = [unit[:, :6]]
+        considered = unit[:, :0]
         if variance[X_R].any():
-            columns.append(unit[:, X_R] @ self._lever)
+            columns.append(unit[:, X_R] @ self._lever.free)
+            considered = unit[:, X_R] @ self._lever.considered * math.sqrt(variance[6])
         others = np.r_[9:12, X_G : N.shape[0]]
         columns.append(unit[:, others[variance[others] > 0.0]])
         basis = np.hstack(columns)
         sigma = np.sqrt(variance[X_BA])
         if not sigma.all():
-            return basis, unit[:, :0]
+            return basis, considered
         # Information of data and prior on the accelerometer bias, in units of the prior.
         cross = basis.T @ N[:, X_BA] * sigma
         own = N[X_BA, X_BA] * np.outer(sigma, sigma)
@@ -263,13 +267,14 @@ class Solver:
         ratio, vectors = np.linalg.eigh(own)
         directions = unit[:, X_BA] @ (sigma[:, None] * vectors)
         excited = ratio > 1.0 + ESTIMATE_RATIO
-        return np.hstack((basis, directions[:, excited])), directions[:, ~excited]
+        considered = np.hstack((considered, directions[:, ~excited]))
+        return np.hstack((basis, directions[:, excited])), considered
 
     def _at_prior_outside(self, start: Solution, considered: Array) -> Solution:
         """`start` with what is not estimated put back to its prior."""
         prior, x = self.prior, start.x.copy()
         mean = prior.mean[X_R]
-        free = self._lever if prior.variance[X_R].any() else np.zeros((3, 0))
+        free = self._lever.free if prior.variance[X_R].any() else np.zeros((3, 0))
         x[X_R] = mean + free @ (free.T @ (x[X_R] - mean))
         if prior.variance[X_BA].all():
             # The directions are orthonormal in units of the prior's sigma.
