@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sins_align.gaps import fill_gaps
@@ -358,6 +358,7 @@ steps_ns = st.lists(st.integers(10_000, 500_000_000), min_size=1, max_size=40)
 
 @settings(max_examples=150, deadline=None)
 @given(steps_ns, st.integers(1, 4), st.sampled_from([MEAN, INSTANTANEOUS]))
+@example([116_264_299, 10_000, 10_020, 51_663_002], 1, MEAN)
 def test_any_stamps_give_finite_integrals(
     steps: list[int], count: int, sampling: ImuSampling
 ) -> None:
@@ -367,9 +368,11 @@ def test_any_stamps_give_finite_integrals(
     duration = sum(steps) * 1e-9
     assert windows.duration_s.min() > 0.0
     assert windows.duration_s.sum() == pytest.approx(duration)
-    # A constant is integrated exactly whatever the stamps.
-    np.testing.assert_allclose(windows.u.sum(axis=0), duration, rtol=1e-9)
+    # A constant is integrated exactly whatever the stamps, but for the rounding of divided
+    # differences over steps of which one is so many times another.
+    rtol = 1e-9 + np.finfo(float).eps * (max(steps) / min(steps)) ** 2
+    np.testing.assert_allclose(windows.u.sum(axis=0), duration, rtol=rtol)
     np.testing.assert_allclose(
-        windows.s, np.outer(0.5 * windows.duration_s**2, np.ones(3)), rtol=1e-9
+        windows.s, np.outer(0.5 * windows.duration_s**2, np.ones(3)), rtol=rtol
     )
     np.testing.assert_allclose(windows.q_end[0], 1.0)

@@ -96,8 +96,9 @@ def test_a_node_that_goes_on_from_its_own_result_is_aligned_far_sooner(
 
 
 def test_a_base_that_sways_has_to_wait_for_the_new_alignment(runs: Runs) -> None:
-    live = runs.start(SWING, initial_result_file=runs.result(SWING))
-    drive = swing(50.0, scenario=Rocking(angle_deg=0.2, until_s=40.0), seed=2)
+    """Which a centre that is said to move keeps from knowing heading in the same half minute."""
+    live = runs.start(SWING, initial_result_file=runs.result(SWING), position_noise_m=0.01)
+    drive = swing(80.0, scenario=Rocking(angle_deg=0.2, until_s=40.0), seed=2)
     live.wait_for(Stage(("stored_confirm",), lambda: drive.part(0.0, 37.0)))
     live.align(drive.part(37.0))  # still from 40 s on
 
