@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -243,4 +243,10 @@ class SynthNode(Node):
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run the node; returns its exit status."""
-    return run_node(NAME, SynthNode, lambda node: node.play, args)
+    return run_node(NAME, SynthNode, _prepare, args)
+
+
+def _prepare(node: SynthNode) -> Callable[[], None]:
+    """What plays, with the executor that `rclpy.spin_once` takes made already."""
+    rclpy.get_global_executor()
+    return node.play
