@@ -33,7 +33,7 @@ def is_polar(latitude: float) -> bool:
 
 
 def why_not_here(limit: float) -> Finding:
-    """Why not where it `is_polar`; limit : see `limits.heading_limit`."""
+    """Why not where it `is_polar`; limit : see `limits.heading_limit` [rad]."""
     if math.isnan(limit):
         return AT_POLE()
     return UNOBSERVABLE_HERE(limit_deg=math.degrees(limit))

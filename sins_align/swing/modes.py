@@ -61,7 +61,11 @@ def squares_at(prior: Prior, normal: Array, at: Solution, turns: Array) -> Array
     R_e and R_n turn about R_u, so that theta is linear in u = (1, cos - 1, sin) of a turn.
     With all else solved for, by a Newton step, u^T H u is left: two harmonics of the turn, the
     second where the data know one horizontal part of the Earth rate better than the other.
-    None of x is considered here: all of it has its prior.
+    All of x is estimated here, with its prior, none of it considered.
+
+    Parameters
+    ----------
+    normal : (p + 1, p + 1) sums of the filter; turns : (k,) about up, in b0 [rad]
     """
     theta, variance = at.theta, prior.variance
     T = np.zeros((theta.shape[0] + 1, 3))

@@ -16,6 +16,8 @@ def start_attitude(normal: Array, prior: Prior) -> Array | None:
     Free vectors R_u and R_e, start velocity and lever arm; biases zero, and R_n, whose share
     of gravity is of second order in time, left out. TRIAD then makes them a rotation. None
     where the sums do not determine them.
+
+    normal : (p + 1, p + 1) sums of the filter
     """
     free = np.r_[R_EAST, R_UP, V0, LEVER]
     N = normal[np.ix_(free, free)].copy()
